@@ -15,7 +15,7 @@ from ringpose.cli.main import main
 from ringpose.files.boards import write_board
 from ringpose.files.cameras.ros import write_camera
 from ringpose.files.images.codecs import write_image
-from ringpose.files.rigs import read_mount
+from ringpose.files.rigs import read_mount, read_rig
 from ringpose.geometry.board import corner_points
 
 MOUNT = np.eye(4)
@@ -142,3 +142,56 @@ def test_a_robot_that_moves_at_the_views_is_reported_without_moving(moving_sessi
     main([*MOVING_WORDS, "-o", "mount.yaml"])
 
     assert "give --moving" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_one_session_of_rendered_shots_gives_the_whole_rig(tmp_path, monkeypatch, shared_data, rng, capsys):
+    """The shots of another program; the robot's poses are those of its truth with errors of 0.1 mm and 0.01 degrees."""
+    data = shared_data / "rendered" / "calib_b"
+    monkeypatch.chdir(tmp_path)
+    base_from_board = np.eye(4)
+    base_from_board[:3, 3] = [0.8, 0.1, 0.0]
+    lines = []
+    for truth in map(json.loads, (data / "truth.jsonl").read_text().splitlines()):
+        seen, error = np.eye(4), np.eye(4)
+        seen[:3, :3] = Rotation.from_rotvec(truth["camera_from_board_rvec"]).as_matrix()
+        seen[:3, 3] = truth["camera_from_board_tvec_m"]
+        error[:3, :3] = Rotation.from_rotvec(rng.normal(0, 1.7e-4, 3)).as_matrix()
+        error[:3, 3] = rng.normal(0, 1e-4, 3)
+        pose = base_from_board @ np.linalg.inv(MOUNT @ seen) @ error
+        tool = {
+            "position_m": pose[:3, 3].tolist(),
+            "orientation_xyzw": Rotation.from_matrix(pose[:3, :3]).as_quat().tolist(),
+        }
+        lines.append(json.dumps({"shot": truth["view"], "base_from_tool": tool}))
+    Path("robot.jsonl").write_text("\n".join(lines) + "\n")
+    words = ["calibrate-mount", "--whole-rig", str(data / "planes"), "--board", str(data / "plane_board.yaml")]
+    words += [
+        "--robot-poses",
+        "robot.jsonl",
+        "--laser-names",
+        "left,middle,right",
+        "--laser-order",
+        "right,middle,left",
+    ]
+
+    status = main([*words, "--output", "rig.yaml"])
+
+    assert status in (0, 3)  # eight views of 16 corners leave the camera uncertain
+    rig, true = (read_rig(path, for_rings=False) for path in (Path("rig.yaml"), data / "true_rig.yaml"))
+    np.testing.assert_allclose(rig.mount.carrier_from_camera, MOUNT, atol=3e-3)
+    tilt = np.arccos(np.clip(np.abs(np.sum(rig.lasers.normal * true.lasers.normal, axis=1)), 0, 1))
+    assert np.degrees(tilt).max() < 0.3
+    held_out = yaml.safe_load(Path("rig.yaml").read_text())["quality"]["whole_rig"]["held_out"]
+    assert held_out["joint"]["stripes_rms_m"] < 1e-3
+    assert "kept: the " in capsys.readouterr().err
+
+
+def test_options_that_the_whole_rig_determines_itself_are_refused(session, capsys):
+    assert main([*WORDS, "--robot-convention", "kuka", "--whole-rig", "-o", "rig.yaml"]) == 2
+    assert "--camera: is of no use for --whole-rig" in capsys.readouterr().err
+    assert main([*WORDS, "--robot-convention", "kuka", "--laser-names", "left", "-o", "rig.yaml"]) == 2
+    assert "without --whole-rig" in capsys.readouterr().err
+    without_camera = [word for word in WORDS if word not in ("--camera", "camera.yaml")]
+    assert main([*without_camera, "--robot-convention", "kuka", "-o", "rig.yaml"]) == 2
+    assert "--camera: is missing; or give --whole-rig" in capsys.readouterr().err

@@ -22,11 +22,12 @@ from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.mount.closed_form import Transform, moving_from_fixed
 from ringpose.calibrate.mount.moving import DELAY_PRIOR_S
 from ringpose.calibrate.mount.stations import Station
+from ringpose.calibrate.mount.stripes import NO_PLANES, Planes, equations_with_stripes
 from ringpose.geometry.camera_motion import left_jacobian
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import rotation_vector, skew
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.rig import Camera
 
@@ -66,6 +67,8 @@ class MountState:
     camera: Camera
     delay_s: float = 0.0
     """The robot's stamp less that of the camera, of a robot that moves."""
+    planes: Planes = NO_PLANES
+    """The light planes, if the stripes are adjusted, too."""
 
 
 class RobotSigmas(NamedTuple):
@@ -87,13 +90,13 @@ class ViewNumbers:
     z: Float64[Array, "view 6"]
     covariance: Float64[Array, "view 6 6"]
     wrt_common: Float64[Array, "view 6 common"]
-    """With respect to X, Y (rotation vector, translation, each in its frame), the delay if the robot moves, and the
-    camera's free parameters."""
+    """With respect to X, Y (rotation vector, translation, each in its frame), the delay if the robot moves, the light
+    planes, and the camera's parameters if it is refined; 0 for those that are held."""
     wrt_error: Float64[Array, "view 6 6"]
     wrt_stamp: Float64[Array, "view 6"]
     """With respect to the stamp of the view; zero if the robot was at rest."""
     camera_information: Float64[Array, "view common common"]
-    """Information about the camera that does not depend on the pose."""
+    """Information about the light planes and the camera that does not depend on the pose."""
     camera_gradient: Float64[Array, "view common"]
     wrt_camera: Float64[Array, "view 6 parameter"]
     """With respect to all of the camera's parameters, also if they are held fixed."""
@@ -116,7 +119,8 @@ class MountSolution:
     boards: tuple[BoardPose, ...]
     """The board in the camera, by the state."""
     covariance: Float64[Array, "common common"]
-    """Of X, Y (rotation vector, translation, each in its frame), delay and refined camera, by the likelihood."""
+    """Of X, Y (rotation vector, translation, each in its frame), delay, light planes and refined camera, by the
+    likelihood."""
     has_delay: bool = False
     """Whether the delay is one of the unknowns."""
     stamp_sd_s: float = 0.0
@@ -136,20 +140,26 @@ def adjusted_mount(
     eye_to_hand: bool = False,
     refine_camera: bool = False,
     poses: Sequence[BoardPose] = (),
+    planes: Planes = NO_PLANES,
 ) -> MountSolution:
-    """The mount by maximum likelihood over the corners, with the robot's errors as unknowns."""
+    """The mount by maximum likelihood over the corners, with the robot's errors as unknowns.
+
+    With `planes`, the start of the light planes, these are unknowns, too, by the stripes of the stations; the camera
+    has to be refined.
+    """
     poses = poses or [board_pose(station.view, camera) for station in stations]
     corner_px = corner_sigmas(stations, poses, camera)
     has_delay = stations[0].has_delay
     state = MountState(
         mount=start[0], board=start[1], true_poses=tuple(one.base_from_tool for one in stations), camera=camera,
-        delay_s=stations[0].delay_s,
+        delay_s=stations[0].delay_s, planes=planes,
     )  # fmt: skip
+    free = _free(camera) if refine_camera else None
     # the robot's error starts large, so that the first iterations follow the corners and not the closed form
     sigmas, stamp_sd_s = RobotSigmas(1e-2, 1e-2), 0.0
-    prior = _prior(camera, refine_camera, has_delay)
+    prior = _prior(camera, refine_camera, camera_from(has_delay) + planes.parameters, has_delay)
     for iteration in range(_ITERATIONS):
-        numbers = view_numbers(stations, state, corner_px, eye_to_hand, refine_camera)
+        numbers = view_numbers(stations, state, corner_px, eye_to_hand, free)
         if iteration and has_delay:
             sigmas, stamp_sd_s = moving_sigmas(numbers, prior, None if iteration == 1 else (sigmas, stamp_sd_s))
         elif iteration:
@@ -164,7 +174,7 @@ def adjusted_mount(
             break
         state, stations = _moved(state, stations, numbers, sigmas, stamp_sd_s, step)
     else:  # the last step is not in the linear model yet
-        numbers = _with_stamps(view_numbers(stations, state, corner_px, eye_to_hand, refine_camera), stamp_sd_s)
+        numbers = _with_stamps(view_numbers(stations, state, corner_px, eye_to_hand, free), stamp_sd_s)
     shown = list(zip(stations, _poses(state, eye_to_hand), strict=True))
     residuals = [view_equations(one.view, pose, state.camera, 1.0).residual for one, pose in shown]
     rms_px = np.array([np.sqrt(2.0 * np.mean(each**2)) for each in residuals])
@@ -202,17 +212,18 @@ def view_numbers(
     state: MountState,
     corner_px: Float64[Array, "view"],
     eye_to_hand: bool,
-    refine_camera: bool,
+    free: Bool[Array, "parameter"] | None,
 ) -> ViewNumbers:
-    """The linear model of the views at a state."""
+    """The linear model of the views at a state; `free`: which of the camera's parameters are refined, if any are."""
     first = camera_from(stations[0].has_delay)
-    count = first + (len(parameters_of(state.camera)) if refine_camera else 0)
+    shared = state.planes.parameters
+    count = first + (0 if free is None else shared + len(free))
     rows: list[tuple[Float64[Array, "..."], ...]] = []
     back = state.mount.rotation.T
     for station, pose, true, sigma in zip(
         stations, _poses(state, eye_to_hand), state.true_poses, corner_px.tolist(), strict=True
     ):
-        equations = view_equations(station.view, pose, state.camera, sigma)
+        equations = equations_with_stripes(station.view, station.stripes, pose, state.camera, state.planes, sigma)
         # OpenCV differentiates by the rotation vector; here a rotation is turned from the left
         by_turn = equations.wrt_pose[:, :3] @ np.linalg.inv(left_jacobian(rotation_vector(pose.rotation)))
         basis, triangle = np.linalg.qr(np.column_stack([by_turn, equations.wrt_pose[:, 3:]]))
@@ -244,13 +255,14 @@ def view_numbers(
         common[:, :6], common[:, 6:12] = wrt_mount, wrt_board
         wrt_stamp = wrt_error @ station.twist  # a later pose is displaced like a wrong one
         common[:, 12:first] = wrt_stamp[:, None]
-        if refine_camera:
-            common[:, first:] = wrt_camera
+        if free is not None:
+            outside[:, shared:] *= free
+            common[:, first:] = wrt_camera * np.append(np.ones(shared), free)
             information[first:, first:], gradient[first:] = outside.T @ outside, outside.T @ equations.residual
         between = wrt_error * station.interpolation_sd
         z = inverse @ (basis.T @ equations.residual) + wrt_error @ error
         covariance = inverse @ inverse.T + between @ between.T
-        rows.append((z, covariance, common, wrt_error, wrt_stamp, information, gradient, wrt_camera))
+        rows.append((z, covariance, common, wrt_error, wrt_stamp, information, gradient, wrt_camera[:, shared:]))
     columns = [np.array(each) for each in zip(*rows, strict=True)]
     return ViewNumbers(
         z=columns[0], covariance=columns[1], wrt_common=columns[2], wrt_error=columns[3],
@@ -346,13 +358,21 @@ def _likeliest(
 
 
 def camera_from(has_delay: bool) -> int:
-    """Index of the camera's first parameter among the common ones, behind X, Y and the delay of a robot that moves."""
+    """Index of the first parameter of light planes and camera, behind X, Y and the delay of a robot that moves."""
     return 12 + has_delay
 
 
-def _prior(camera: Camera, refine_camera: bool, has_delay: bool) -> Float64[Array, "common common"]:
-    """Information about the common parameters that does not come from the views: the delay's bounds, the camera."""
-    first = camera_from(has_delay)
+def _free(camera: Camera) -> Bool[Array, "parameter"]:
+    """Which parameters of the camera are refined: those with a standard deviation above zero, or all without one."""
+    count = len(parameters_of(camera))
+    return np.ones(count, dtype=bool) if camera.covariance is None else np.diag(camera.covariance.data) > 0
+
+
+def _prior(camera: Camera, refine_camera: bool, first: int, has_delay: bool) -> Float64[Array, "common common"]:
+    """Information about the common parameters that does not come from the views: the delay's bounds, the camera.
+
+    `first`: index of the camera's first parameter.
+    """
     parameters = len(parameters_of(camera)) if refine_camera else 0
     prior = np.zeros((first + parameters, first + parameters))
     if has_delay:
@@ -364,8 +384,8 @@ def _prior(camera: Camera, refine_camera: bool, has_delay: bool) -> Float64[Arra
 
 def _offset(state: MountState, given: Camera, has_delay: bool, parameters: int) -> Float64[Array, "common"]:
     """How far the state is from what the prior expects."""
-    offset, first = np.zeros(parameters), camera_from(has_delay)
-    offset[12:first] = state.delay_s
+    offset, first = np.zeros(parameters), camera_from(has_delay) + state.planes.parameters
+    offset[12 : camera_from(has_delay)] = state.delay_s
     if parameters > first:
         offset[first:] = parameters_of(state.camera) - parameters_of(given)
     return offset
@@ -391,11 +411,12 @@ def _moved(
         )
         for one, error in zip(stations, errors, strict=True)
     )
-    refined = len(step) > first
-    camera = camera_with(parameters_of(state.camera) + step[first:], state.camera) if refined else state.camera
+    last = first + state.planes.parameters
+    refined = len(step) > last
+    camera = camera_with(parameters_of(state.camera) + step[last:], state.camera) if refined else state.camera
     moved_state = MountState(
         mount=_turned(state.mount, step[:6]), board=_turned(state.board, step[6:12]), true_poses=true_poses,
-        camera=camera, delay_s=delay_s,
+        camera=camera, delay_s=delay_s, planes=state.planes.moved(step[first:last]),
     )  # fmt: skip
     return moved_state, stations
 

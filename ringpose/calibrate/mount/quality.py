@@ -24,6 +24,7 @@ from ringpose.calibrate.mount.adjustment import (
 )
 from ringpose.calibrate.mount.pipeline import MountCalibration
 from ringpose.calibrate.mount.systematic import SystematicError
+from ringpose.calibrate.mount.whole_rig import HeldOutErrors, WholeRig
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import Verdict
@@ -241,6 +242,27 @@ def _systematic_lines(found: SystematicError) -> list[str]:
             "the covariance contains so much of what is the same in all views then"
         ]
     return []
+
+
+def whole_rig_quality(rig: WholeRig) -> Mapping[str, Any]:
+    """The key `quality.whole_rig` of the rig file: what each solution predicts of views that are left out."""
+
+    def errors(held_out: HeldOutErrors) -> dict[str, float | None]:
+        values = {"stripes_rms_m": held_out.rms_m, "corners_rms_px": held_out.rms_px}
+        return {name: value if np.isfinite(value) else None for name, value in values.items()}
+
+    kept = "joint" if rig.is_joint else "separate"
+    return {"kept": kept, "held_out": {"separate": errors(rig.separate), "joint": errors(rig.joint)}}
+
+
+def whole_rig_lines(rig: WholeRig) -> list[str]:
+    """The held-out errors of both solutions as lines of text."""
+    lines = [
+        f"{name} solution: stripe points of views left out lie {1e3 * held_out.rms_m:.2f} mm rms off the board's face "
+        f"in the base, corners {held_out.rms_px:.2f} px off"
+        for name, held_out in (("separate", rig.separate), ("joint", rig.joint))
+    ]
+    return [*lines, f"kept: the {'joint' if rig.is_joint else 'separate'} solution"]
 
 
 class MountComparison(NamedTuple):

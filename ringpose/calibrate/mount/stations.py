@@ -6,6 +6,7 @@ import numpy as np
 
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.calibrate.mount.moving import ToolMotion, moved
+from ringpose.calibrate.mount.stripes import Stripes
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardView
 
@@ -22,6 +23,8 @@ class Station:
     """When the board was seen, if the robot moved."""
     twist: Float64[Array, "6"] = field(default_factory=lambda: np.zeros(6))
     """Rate (rad/s) and velocity (m/s) of the tool, in its frame."""
+    stripes: Stripes | None = None
+    """Stripes on the board, if the light planes are among the unknowns."""
     interpolation_sd: Float64[Array, "6"] = field(default_factory=lambda: np.zeros(6))
     """Of the robot's pose between two that it reported: rotation vector, translation, in the tool frame."""
 

@@ -20,7 +20,7 @@ from ringpose.calibrate.planes.covariance import (
     sheet_height_m,
     variance_excess,
 )
-from ringpose.calibrate.planes.evidence import StripeEvidence, stripe_evidence
+from ringpose.calibrate.planes.evidence import Remark, StripeEvidence, stripe_evidence
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_verdict
 from ringpose.calibrate.planes.stripes.extraction import ghost_of_rig, stripe_view, triangulated
 from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, lasers_in_masks
@@ -165,11 +165,7 @@ class PlaneSolution(NamedTuple):
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
     """The light planes in the camera frame, with the residuals of each view."""
     views = [replace(view, board=without_distortion_bias(view.board, camera)) for view in views]
-    if model.method is PlanesMethod.PAPER:
-        poses = [[marker_average_pose(view.board, camera)] for view in views]
-    else:
-        poses = [board_poses(view.board, camera) for view in views]
-    evidence, remarks, contradicting = stripe_evidence(views, poses, camera, model.names, model.order)
+    evidence, remarks, contradicting = evidence_of(views, camera, model)
     if model.method is PlanesMethod.JOINT:
         solution = joint_solution(evidence, model.free_camera)
     else:
@@ -195,6 +191,17 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         bows=_bows(evidence, solution, camera),
         sheet_height_m=solution.sheet_height_m,
     )
+
+
+def evidence_of(
+    views: Sequence[StripeView], camera: Camera, model: PlanesModel
+) -> tuple[StripeEvidence, list[Remark], list[Remark]]:
+    """The stripes that are used, remarks on the others, and contradicting views; corners without bias by distortion."""
+    if model.method is PlanesMethod.PAPER:
+        poses = [[marker_average_pose(view.board, camera)] for view in views]
+    else:
+        poses = [board_poses(view.board, camera) for view in views]
+    return stripe_evidence(views, poses, camera, model.names, model.order)
 
 
 def _ghosts(views: Sequence[StripeView], names: Sequence[str]) -> dict[str, LaserGhost]:
@@ -278,7 +285,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         for name, own in zip(evidence.names, points, strict=True)
     ]
     try:
-        data, state = _weighted_fit(evidence, start, free_camera)
+        data, state = weighted_fit(evidence, start, free_camera)
         information, fixed = joint_adjustment.joint_information(data, state), data
         if free_camera:  # from here on the camera is held fixed, with the stripes triangulated by it
             fixed = data.with_camera(state.camera)
@@ -308,7 +315,7 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         ) from error
 
 
-def _weighted_fit(
+def weighted_fit(
     evidence: StripeEvidence, start: Sequence[plane_fit.FittedPlane], free_camera: bool
 ) -> tuple[joint_adjustment.JointData, joint_adjustment.JointState]:
     """Data and result of the joint adjustment, repeated with corner standard deviations estimated from its residuals.

@@ -7,12 +7,13 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import BoardFile, Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, app, file_option
+from ringpose.cli.calibrate.outputs import LaserNames, LaserOrder
 from ringpose.cli.options.robot import RobotColumns, RobotConvention, tool_poses
 from ringpose.errors import DataError, UsageError
 from ringpose.types.options import PoseFrame
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from ringpose.calibrate.mount.moving import ToolMotion
     from ringpose.calibrate.mount.pipeline import MountCalibration
@@ -23,7 +24,11 @@ if TYPE_CHECKING:
     from ringpose.types.robot import ReportedPoses
 
 CameraFile = Annotated[
-    Path, file_option("--camera", meaning="The calibrated camera, or the rig whose mount is written (rig.yaml).")
+    Path | None,
+    file_option(
+        "--camera",
+        meaning="The calibrated camera, or the rig whose mount is written (rig.yaml); required without --whole-rig.",
+    ),
 ]
 RobotPosesFile = Annotated[
     str,
@@ -35,6 +40,9 @@ EyeToHand = Annotated[
 ]
 RefineCamera = Annotated[
     bool, typer.Option("--refine-camera", help="Let the views improve the camera, from its covariance.")
+]
+Whole = Annotated[
+    bool, typer.Option("--whole-rig", help="Calibrate camera and light planes, too, from shots that show stripes.")
 ]
 Moving = Annotated[
     bool, typer.Option("--moving", help="The robot moves at the views: estimate the offset of its clock, too.")
@@ -48,13 +56,16 @@ Check = Annotated[
 def calibrate_mount(
     board: BoardFile,
     inputs: Inputs,
-    camera: CameraFile,
     robot_poses: RobotPosesFile,
+    camera: CameraFile = None,
     output: Output = None,
     robot_convention: RobotConvention = None,
     robot_columns: RobotColumns = None,
     eye_to_hand: EyeToHand = False,
     refine_camera: RefineCamera = False,
+    whole_rig: Whole = False,
+    laser_names: LaserNames = None,
+    laser_order: LaserOrder = None,
     moving: Moving = False,
     check: Check = None,
     overlay: Overlay = None,
@@ -69,14 +80,25 @@ def calibrate_mount(
     two axes.
     """
     from ringpose.calibrate.boards.shots import BoardShots
-    from ringpose.calibrate.mount.quality import compared_mount, comparison_lines, comparison_verdict
     from ringpose.cli.batch import Batch
     from ringpose.cli.calibrate.board_views import BoardReader
-    from ringpose.cli.calibrate.outputs import given, reject_existing_outputs, report_verdict
+    from ringpose.cli.calibrate.outputs import given, reject_existing_outputs
     from ringpose.files.boards import read_board
     from ringpose.files.cameras.formats import read_camera
     from ringpose.files.inputs import holds_records
 
+    if whole_rig:
+        from ringpose.cli.calibrate.whole_rig import RobotOptions, ShotOptions, calibrate_whole_rig
+
+        _reject_useless(
+            "--whole-rig", {"--camera": camera, "--check": check, "--refine-camera": refine_camera, "--moving": moving}
+        )
+        shots = ShotOptions(board, laser_names, laser_order, overlay, channel, force, verbose, quiet)
+        robot = RobotOptions(robot_poses, robot_convention, robot_columns, eye_to_hand)
+        calibrate_whole_rig(inputs, given(output, "--output"), shots, robot)
+        return
+    _reject_useless("a mount without --whole-rig", {"--laser-names": laser_names, "--laser-order": laser_order})
+    camera = given(camera, "--camera", "or give --whole-rig, with shots that show stripes")
     known = None if check is None else _given_mount(check, output, eye_to_hand)
     files = [board, camera, *([Path(robot_poses)] if Path(robot_poses).is_file() else [])]
     if check is None:
@@ -88,7 +110,7 @@ def calibrate_mount(
     times_s: dict[str, tuple[float, float]] = {}
 
     def note_time(shot: "Shot", view: object) -> str:
-        times_s[shot.name] = _time_of_board(shot, moving)
+        times_s[shot.name] = time_of_board(shot, moving)
         return "board found"
 
     reader = BoardReader(boards, overlay=overlay, channel=channel, outputs=(output,), force=force)
@@ -107,24 +129,30 @@ def calibrate_mount(
                 convention=convention,
             )  # fmt: skip
         else:
-            stations, problems = _resting_stations(views, times, poses, robot_poses)
+            stations, problems = resting_stations(views, times, poses, robot_poses)
         for problem in problems:
             batch.report(problem)
         calibration = calibrated(
             stations, read_cam, eye_to_hand=eye_to_hand, refine_camera=refine_camera, convention=convention
         )
-        if known is not None:
-            comparison = compared_mount(calibration, known)
-            verdict = comparison_verdict(comparison)
-            batch.record_status(report_verdict(verdict, comparison_lines(comparison, verdict), quiet=quiet))
-        elif output is not None:
-            records = [Path(robot_poses)] if holds_records(Path(robot_poses)) else []
-            inputs_read = list(dict.fromkeys([*files, *records, *reader.paths]))
-            batch.record_status(_write(calibration, camera, output, inputs_read, force=force, quiet=quiet))
+        records = [Path(robot_poses)] if holds_records(Path(robot_poses)) else []
+        inputs_read = list(dict.fromkeys([*files, *records, *reader.paths]))
+        batch.record_status(
+            _compared(calibration, known, quiet=quiet)
+            if known is not None
+            else _write(calibration, camera, given(output, "--output"), inputs_read, force=force, quiet=quiet)
+        )
     batch.finish()
 
 
-def _time_of_board(shot: "Shot", moving: bool) -> tuple[float, float]:
+def _reject_useless(mode: str, options: "Mapping[str, object]") -> None:
+    """Reject options that the mode would ignore."""
+    for option, value in options.items():
+        if value:
+            raise UsageError(option, f"is of no use for {mode}", "leave it out")
+
+
+def time_of_board(shot: "Shot", moving: bool) -> tuple[float, float]:
     """Middle and length of the exposure in which the board is searched; DataError if a moving board is in several."""
     import numpy as np
 
@@ -136,7 +164,7 @@ def _time_of_board(shot: "Shot", moving: bool) -> tuple[float, float]:
     return float(shot.stamp_s[frame]) + exposure_s / 2, exposure_s
 
 
-def _resting_stations(
+def resting_stations(
     views: "Sequence[BoardView]", times: "Sequence[tuple[float, float]]", poses: "ReportedPoses", location: str
 ) -> "tuple[list[Station], list[DataError]]":
     """The views with the poses of a robot that rests at each of them; a warning if it does not."""
@@ -173,6 +201,16 @@ def _given_mount(check: Path, output: Path | None, eye_to_hand: bool) -> "Mount"
         remedy = "leave out --eye-to-hand" if eye_to_hand else "give --eye-to-hand"
         raise UsageError("--check", f"{check} has its camera in the frame of the {given.carrier}", remedy)
     return given
+
+
+def _compared(calibration: "MountCalibration", known: "Mount", *, quiet: bool) -> int:
+    """Report how a given mount compares with that of the views; the exit status is returned."""
+    from ringpose.calibrate.mount.quality import compared_mount, comparison_lines, comparison_verdict
+    from ringpose.cli.calibrate.outputs import report_verdict
+
+    comparison = compared_mount(calibration, known)
+    verdict = comparison_verdict(comparison)
+    return report_verdict(verdict, comparison_lines(comparison, verdict), quiet=quiet)
 
 
 def _write(

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
+import typer
+
 from ringpose.cli.app import Command, check_report, file_option
 
 if TYPE_CHECKING:
@@ -35,6 +37,27 @@ def report_verdict(verdict: "Verdict", summary: Sequence[str], *, quiet: bool) -
     return NO_POSE if bad else 0
 
 
+LASERS = "The lasers"
+"""Heading of their options in the help."""
+
+LaserNames = Annotated[
+    str | None,
+    typer.Option(
+        "--laser-names",
+        metavar="NAMES",
+        help="Names by mask bit, comma between, as left,middle,right.",
+        rich_help_panel=LASERS,
+    ),
+]
+LaserOrder = Annotated[
+    str | None,
+    typer.Option(
+        "--laser-order",
+        metavar="NAMES",
+        help="Order of the stripes down the image, if all lasers are on.",
+        rich_help_panel=LASERS,
+    ),
+]
 PrintBoard = Annotated[Path | None, file_option("--print-board", meaning="Only draw the board at true scale, as PDF.")]
 
 
@@ -75,6 +98,27 @@ def given(value: _Given | None, name: str, remedy: str = "") -> _Given:
     if not value:
         raise UsageError(name, "is missing", remedy)
     return value
+
+
+def session_names(inputs: list[str]) -> str | None:
+    """The names that the sessions of the inputs give to their lasers, comma between; None if they state none."""
+    from ringpose.types.options import STDIN
+    from ringpose.types.session import SESSION_FILE
+
+    paths = [Path(name) for name in inputs if name != STDIN]
+    folders = dict.fromkeys(path if path.is_dir() else path.parent for path in paths)
+    sessions = [folder for folder in folders if (folder / SESSION_FILE).is_file()]
+    if not sessions:
+        return None
+    from ringpose.errors import UsageError
+    from ringpose.files.images.sessions import read_session
+
+    captures = [capture for folder in sessions for capture in read_session(folder).captures]
+    stated = {",".join(capture.laser_names) for capture in captures if capture.laser_names}
+    if len(stated) > 1:
+        finding = f"is missing, and the sessions of the shots differ: {'; '.join(sorted(stated))}"
+        raise UsageError("--laser-names", finding, "give the names in the order of the masks' bits")
+    return next(iter(stated), None)
 
 
 PRINTING = frozenset(("print_board", "board", "force", "verbose", "quiet"))

@@ -20,7 +20,15 @@ from ringpose.cli.app import (
     finite,
     numbers,
 )
-from ringpose.cli.calibrate.outputs import CommandWithModes, PrintBoard, given
+from ringpose.cli.calibrate.outputs import (
+    LASERS,
+    CommandWithModes,
+    LaserNames,
+    LaserOrder,
+    PrintBoard,
+    given,
+    session_names,
+)
 from ringpose.types.options import PlanesMethod
 from ringpose.types.plausible import EXPECTED_DEG
 
@@ -33,7 +41,6 @@ if TYPE_CHECKING:
     from ringpose.types.image import Shot
     from ringpose.types.rig import Camera, Rig
 
-LASERS = "The lasers"
 
 BoardFile = Annotated[
     Path | None,
@@ -46,24 +53,6 @@ CameraFile = Annotated[
 MethodName = Annotated[PlanesMethod, typer.Option("--method", help="How the light planes are estimated.")]
 FreeCamera = Annotated[
     bool, typer.Option("--free-camera", help="Let the boards and stripes improve the camera, from its covariance.")
-]
-LaserNames = Annotated[
-    str | None,
-    typer.Option(
-        "--laser-names",
-        metavar="NAMES",
-        help="Names by mask bit, comma between, as left,middle,right.",
-        rich_help_panel=LASERS,
-    ),
-]
-LaserOrder = Annotated[
-    str | None,
-    typer.Option(
-        "--laser-order",
-        metavar="NAMES",
-        help="Order of the stripes down the image, if all lasers are on.",
-        rich_help_panel=LASERS,
-    ),
 ]
 ExpectedAngles = Annotated[
     str | None,
@@ -194,7 +183,7 @@ def _calibrate(
     reject_existing_outputs(output, report, options.force, files)
     mounting = None if mount is None else read_mount(mount)
     batch = Batch()
-    stripes = _stripe_shots(options._replace(names=options.names or _session_names(shots)), read_camera(camera))
+    stripes = _stripe_shots(options._replace(names=options.names or session_names(shots)), read_camera(camera))
     check_method(method, free_camera, stripes.boards.board, stripes.camera)
     reader = _read_shots(shots, stripes, options, batch, (output, report))
     if not stripes.views and (batch.status or stripes.boards.without_board):
@@ -221,27 +210,6 @@ def _calibrate(
         _report_lasers(stripes, rig, quiet=options.quiet)
         batch.record_status(report_verdict(assessment.verdict, planes_summary(assessment), quiet=options.quiet))
     batch.finish()
-
-
-def _session_names(inputs: list[str]) -> str | None:
-    """The names that the sessions of the inputs give to their lasers, comma between; None if they state none."""
-    from ringpose.types.options import STDIN
-    from ringpose.types.session import SESSION_FILE
-
-    paths = [Path(name) for name in inputs if name != STDIN]
-    folders = dict.fromkeys(path if path.is_dir() else path.parent for path in paths)
-    sessions = [folder for folder in folders if (folder / SESSION_FILE).is_file()]
-    if not sessions:
-        return None
-    from ringpose.errors import UsageError
-    from ringpose.files.images.sessions import read_session
-
-    captures = [capture for folder in sessions for capture in read_session(folder).captures]
-    stated = {",".join(capture.laser_names) for capture in captures if capture.laser_names}
-    if len(stated) > 1:
-        finding = f"is missing, and the sessions of the shots differ: {'; '.join(sorted(stated))}"
-        raise UsageError("--laser-names", finding, "give the names in the order of the masks' bits")
-    return next(iter(stated), None)
 
 
 def _report_lasers(stripes: "StripeShots", rig: "Rig", *, quiet: bool) -> None:

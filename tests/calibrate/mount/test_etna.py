@@ -6,20 +6,23 @@ import cv2
 import numpy as np
 import pytest
 
+from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.diagnostics import NoBoard
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera.parameters import CameraModel
-from ringpose.calibrate.camera.pipeline import calibrate_camera
+from ringpose.calibrate.camera.pipeline import assessed_camera, calibrate_camera
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.calibrate.mount.matching import matched_poses
 from ringpose.calibrate.mount.pipeline import calibrate_mount, stations_of
 from ringpose.calibrate.mount.quality import mount_verdict
-from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
+from ringpose.calibrate.mount.whole_rig import whole_rig
+from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes, evidence_of
 from ringpose.calibrate.planes.plane_fit import plane_without
+from ringpose.calibrate.planes.quality import PlanesAssessment, planes_verdict
 from ringpose.calibrate.planes.stripes.extraction import stripe_view
 from ringpose.files.robot_tables import read_tool_poses
 from ringpose.geometry.robot_conventions import convention_named
-from ringpose.types.board import Board
+from ringpose.types.board import Board, BoardViews
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
 
@@ -68,6 +71,34 @@ def test_held_out_laser_points_lie_on_one_plane_in_the_base(folder, limit_m, sha
 
     assert len(in_base) >= len(shots) - 1
     assert deviation_from_their_plane_m(np.concatenate(in_base)) < limit_m
+
+
+@pytest.mark.slow
+def test_the_joint_solution_of_an_uncertain_camera_predicts_views_better(shared_data):
+    data = shared_data / "real" / "etna_laser_robot" / "calib2"
+    shots = [shot_of(path) for path in sorted(data.glob("*.png"))]
+    boards = BoardViews()
+    boards.image_width, boards.image_height = 1280, 1024
+    boards.views = [find_board(shot.images[0], BOARD, shot.name) for shot in shots]
+    assessment = assessed_camera(boards, CameraModel(fix_k3=True, keep_all=True))
+    camera, model = assessment.calibration.camera, PlanesModel(names=("red",))
+    poses = read_tool_poses(str(data), convention_named("m,xyzw")).poses
+    matched = matched_poses([view.name for view in boards.views], [0.0] * len(shots), poses, "poses")
+    stripes = [stripe_view(shot, view, BOARD, camera, ["red"]) for shot, view in zip(shots, boards.views, strict=True)]
+    planes = calibrate_planes(stripes, camera, model)
+    unbiased = [replace(view, board=without_distortion_bias(view.board, camera)) for view in stripes]
+
+    rig = whole_rig(
+        assessment,
+        PlanesAssessment(
+            calibration=planes, verdict=planes_verdict(planes, (), (), None), paper=None, without_board=()
+        ),
+        evidence_of(unbiased, camera, model)[0],
+        calibrate_mount(stations_of(boards.views, matched), camera),
+    )
+
+    assert rig.is_joint
+    assert rig.joint.rms_m < 0.6e-3 < rig.separate.rms_m
 
 
 @pytest.mark.slow

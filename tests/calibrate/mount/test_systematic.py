@@ -233,13 +233,14 @@ def test_the_nees_with_systematic_errors_is_in_its_band(arm, views, systematic, 
     """Errors of half a millimetre, or twice of that."""
     nees = nees_of(rng, arm, views, systematic)
 
-    outside = sum(not low < mean < high for mean, low, high in zip(nees, *limits(0.99), strict=True))
-    assert outside <= 1  # the variances are estimated: the tails of a session's NEES are longer than chi-squared's
+    # the variances are estimated: the tails of a session's NEES are longer than chi-squared's
+    assert np.sum(nees > limits(0.99)[1]) <= 1
     assert np.all(nees < limits(0.9999)[1])
+    assert np.all(nees > 0.55)
 
 
 @pytest.mark.slow
 def test_the_covariance_of_an_arm_that_only_repeats_badly_is_at_most_somewhat_too_large(rng):
     nees = nees_of(rng, ARM, 15, 0.0)
 
-    assert np.all((nees > 0.7) & (nees < limits(0.99)[1]))
+    assert np.all((nees > 0.6) & (nees < limits(0.99)[1]))
