@@ -11,8 +11,14 @@ import numpy as np
 from ringpose.calibrate.boards.patterns.chessboard import Grid
 from ringpose.calibrate.boards.patterns.circles import blob_detector, brightened, circle_centers, negative
 from ringpose.calibrate.boards.patterns.image_patch import GreyImage, reduced
-from ringpose.calibrate.boards.patterns.markers import Markers, find_markers
-from ringpose.geometry.board import LAYOUTS, corner_points, marker_corners, marker_dictionary, marker_ids
+from ringpose.calibrate.boards.patterns.markers import (
+    Markers,
+    board_markers,
+    find_markers,
+    other_layout,
+    rows_beyond,
+)
+from ringpose.geometry.board import LAYOUTS, corner_points, marker_corners, marker_dictionary
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board
 
@@ -73,7 +79,10 @@ class BoardFailure(Enum):
     NO_CONTRAST = "nothing but noise is seen"
     FEW_MARKERS = "too few of the board's markers found"
     OTHER_MARKERS = "markers found, but not those of this board; is it the right board file"
-    MIRRORED = "the image or the print is mirrored: its mirror image shows the board; turn the camera's flip off"
+    MIRRORED = (
+        "the image or the print is mirrored: its mirror image shows the board; turn the camera's flip off, or print "
+        "the board anew"
+    )
     OTHER_LAYOUT = "the markers do not lie as on the board of the board file"
     FEW_CORNERS = "too few of the board's corners found"
     LARGER = "there are more columns or rows than the board file says"
@@ -209,14 +218,31 @@ def marker_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers
     return NoBoard(failure=BoardFailure.FEW_MARKERS, finding=f"0 of {wanted}{blurred}")
 
 
+def layout_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers) -> NoBoard | None:
+    """The failure of an image whose markers do not lie as on the board, or also in further rows; else None."""
+    points_px = own.corners_px.reshape(-1, 2)
+    matching_layout = other_layout(board, own)
+    if matching_layout is not None:
+        if _is_mirrored(grey, board, len(own.ids)):
+            return NoBoard(failure=BoardFailure.MIRRORED)
+        return NoBoard(failure=BoardFailure.OTHER_LAYOUT, finding=matching_layout, points_px=points_px)
+    rows = rows_beyond(board, own, markers)
+    if rows is not None:
+        finding = f"as with squares_x: {board.squares_x}, squares_y: {rows}"
+        return NoBoard(failure=BoardFailure.LARGER, finding=finding, points_px=points_px)
+    return None
+
+
 def _is_mirrored(grey: GreyImage, board: Board, number: int) -> bool:
     """Whether the mirror image shows more of the board's markers than the `number` that the image itself shows.
 
-    In a mirrored image a few markers pass for others of a large dictionary.
+    In a mirrored image a few markers pass for others of a large dictionary; those of the mirror image lie as on the
+    board.
     """
     border_cells = LAYOUTS[board.kind].border_cells
     mirrored = find_markers(np.ascontiguousarray(grey[:, ::-1]), marker_dictionary(board), border_cells)
-    return int(np.isin(mirrored.ids, marker_ids(board)).sum()) >= max(_MIN_MARKERS, 2 * number)
+    own = board_markers(board, mirrored)
+    return len(own.ids) >= _MIN_MARKERS and len(own.ids) > number and other_layout(board, own) is None
 
 
 def _outside(own: Markers, board: Board, shape: tuple[int, int]) -> int:
@@ -262,10 +288,13 @@ def charuco_failure(grey: GreyImage, board: Board, corners: int, own: Markers) -
     return NoBoard(failure=failure, finding=finding, points_px=own.corners_px.reshape(-1, 2))
 
 
-def square_failure(grey: GreyImage, board: Board, number: int) -> NoBoard:
-    """Why separate squares are not found; `number` of them are in the largest grid with the board's gaps."""
+def square_failure(grey: GreyImage, board: Board, number: int, size: tuple[int, int]) -> NoBoard:
+    """Why separate squares are not found; `number` of them are in the largest grid with the board's gaps, of `size`."""
     columns, rows, width_px = board.squares_x or 0, board.squares_y or 0, edge_width_px(grey)
     finding = f"{number} squares in a grid, the board has {columns} x {rows} = {columns * rows}"
+    if all(np.sort(size) >= sorted((columns, rows))) and number > columns * rows:
+        more_x, more_y = size if size[0] >= columns and size[1] >= rows else size[::-1]
+        return NoBoard(failure=BoardFailure.LARGER, finding=f"as with squares_x: {more_x}, squares_y: {more_y}")
     finding += f", {edge_width_in_words(width_px)}"
     failure = BoardFailure.BLURRED if BLURRED_PX < width_px < np.inf else BoardFailure.NOT_WHOLE
     return NoBoard(failure=failure, finding=finding)
@@ -306,8 +335,15 @@ def _circles_of(grey: GreyImage, board: Board) -> Float64[Array, "circle xy=2"] 
 
 
 def _other_grids(board: Board, circles: int) -> Iterator[Board]:
-    """Grids of this many circles with the board's columns or rows, these also exchanged, and of the other kind."""
+    """Grids that may be seen in place of the board, where this many circles are found, among them perhaps others.
+
+    They have one more column or row, or this many circles with the board's columns or rows, these also exchanged, and
+    of the other kind.
+    """
     columns, rows = board.squares_x or 1, board.squares_y or 1
+    if circles > columns * rows:
+        yield replace(board, squares_x=columns + 1)
+        yield replace(board, squares_y=rows + 1)
     whole = [(columns, circles // columns), (circles // rows, rows)]
     counts = [(x, y) for x, y in dict.fromkeys(whole) if x * y == circles]
     for kind in ("asymmetric_circles", "symmetric_circles"):

@@ -13,12 +13,12 @@ from ringpose.calibrate.boards.patterns.image_patch import GreyImage, grey_8_bit
 from ringpose.calibrate.boards.patterns.marker_edges import corners_from_sides
 from ringpose.calibrate.boards.patterns.markers import (
     Markers,
+    board_markers,
     find_markers,
     marker_layout,
     markers_of,
-    other_layout,
 )
-from ringpose.geometry.board import LAYOUTS, corner_numbers, corner_points, marker_dictionary, marker_ids
+from ringpose.geometry.board import LAYOUTS, corner_numbers, corner_points, marker_dictionary
 from ringpose.types.arrays import Array, Float64, Int64, UInt
 from ringpose.types.board import Board, BoardView
 
@@ -75,12 +75,14 @@ def _circle_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagno
 
 def _square_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagnostics.NoBoard:
     """The view of a grid of separate squares: all of it must be visible."""
-    from ringpose.calibrate.boards.patterns.squares import board_squares  # which no other board needs
+    from ringpose.calibrate.boards.patterns.squares import OtherGrid, board_squares  # which no other board needs
 
     counts = (board.squares_x or 0, board.squares_y or 0)
     squares = board_squares(grey, *counts, (board.gap_m or 0.0) / (board.square_m or 1.0))
-    if isinstance(squares, int) or 4 * len(squares.numbers) < MIN_CORNERS:
-        return diagnostics.square_failure(grey, board, squares if isinstance(squares, int) else 0)
+    if isinstance(squares, OtherGrid):
+        return diagnostics.square_failure(grey, board, squares.squares, (squares.columns, squares.rows))
+    if 4 * len(squares.numbers) < MIN_CORNERS:
+        return diagnostics.square_failure(grey, board, len(squares.numbers), counts)
     ids = (4 * squares.numbers[:, None] + np.arange(4)).ravel()
     layout = marker_layout(board, Markers(ids=squares.numbers, corners_px=squares.corners_px))
     return replace(
@@ -104,12 +106,7 @@ def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagno
         ids, corners_px, markers = _charuco_corners(grey, board)
     else:
         markers = find_markers(grey, marker_dictionary(board), LAYOUTS[board.kind].border_cells)
-    # Of a number that occurs twice, it is ambiguous which of the markers is the board's.
-    _, index, count = np.unique(markers.ids, return_inverse=True, return_counts=True)
-    is_own = np.isin(markers.ids, marker_ids(board)) & (count[index] == 1)
-    places = {number: place for place, number in enumerate(marker_ids(board))}
-    own_places = np.array([places[number] for number in markers.ids[is_own].tolist()], dtype=np.int64)
-    own = Markers(ids=own_places, corners_px=markers.corners_px[is_own])
+    own = board_markers(board, markers)
     correlation = 0.0
     if board.kind != "charuco":
         ids = corner_numbers(board)[own.ids].ravel()
@@ -119,12 +116,8 @@ def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagno
         refined = [corners_from_sides(grey, corners) for corners in own.corners_px]
         corners_px = np.reshape([one.points_px for one in refined], (-1, 2)).astype(np.float64)
         correlation = float(np.mean([one.end_correlation for one in refined])) if refined else 0.0
-    matching_layout = other_layout(board, own)
-    if matching_layout is not None:
-        points_px = own.corners_px.reshape(-1, 2)
-        return diagnostics.NoBoard(
-            failure=diagnostics.BoardFailure.OTHER_LAYOUT, finding=matching_layout, points_px=points_px
-        )
+    if (failure := diagnostics.layout_failure(grey, board, markers, own)) is not None:
+        return failure
     if len(ids) >= MIN_CORNERS:
         layout = marker_layout(board, own)
         ratio = None if layout is None else layout.size_ratio

@@ -1,11 +1,13 @@
 """Photographs of whole sheets as `--print-board` lays them out: with rulers, their numbers and a label, on a table."""
 
 import functools
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
+from ringpose.calibrate.boards.diagnostics import BoardFailure
 from ringpose.calibrate.boards.views import find_board
 from ringpose.geometry.board import corner_points
 from ringpose.report.board_print import board_drawing
@@ -116,3 +118,71 @@ def test_zeros_of_the_rulers_are_no_circles_of_the_board(board, rng):
     found = find_board(image, board, "sheet")
 
     assert np.linalg.norm(found.points_px - expected_px, axis=1).max() < 0.3
+
+
+MIRRORED = {
+    **{kind: board for kind, board in BOARDS.items() if board.dictionary},
+    "aruco_grid of 1000 markers": replace(BOARDS["aruco_grid"], dictionary="DICT_4X4_1000"),
+    "aruco_grid of the first dictionary": replace(BOARDS["aruco_grid"], dictionary="DICT_ARUCO_ORIGINAL"),
+    "asymmetric_circles in an even number of rows": replace(BOARDS["asymmetric_circles"], squares_y=10),
+}
+"""Two or three of the grids' markers pass for others of the board in a mirror."""
+
+
+@pytest.mark.parametrize("board", MIRRORED.values(), ids=MIRRORED)
+@pytest.mark.parametrize("view", ["from above", pytest.param("far, upside down", marks=pytest.mark.slow)])
+def test_a_mirrored_sheet_is_named(board, view, rng):
+    image, _ = photograph(board, view, rng)
+
+    missing = find_board(np.ascontiguousarray(image[:, ::-1]), board, view)
+
+    assert missing.failure is BoardFailure.MIRRORED
+
+
+@pytest.mark.parametrize("kind", ["asymmetric_circles", "chessboard", "separate_squares", "symmetric_circles"])
+@pytest.mark.slow
+def test_a_board_that_is_its_own_mirror_image_is_found_in_a_mirror(kind, rng):
+    image, expected_px = photograph(BOARDS[kind], "from above", rng)
+
+    found = find_board(np.ascontiguousarray(image[:, ::-1]), BOARDS[kind], "mirror")
+
+    assert len(found.ids) == len(expected_px)
+
+
+SMALLER = [
+    ("charuco", -1, 0, BoardFailure.OTHER_LAYOUT),
+    ("charuco", 0, -1, BoardFailure.LARGER),
+    ("aprilgrid", -1, 0, BoardFailure.OTHER_LAYOUT),
+    ("aprilgrid", 0, -1, BoardFailure.LARGER),
+    ("aruco_grid", 0, -2, BoardFailure.LARGER),
+    pytest.param("asymmetric_circles", -1, 0, BoardFailure.LARGER, marks=pytest.mark.slow),
+    pytest.param("asymmetric_circles", 0, -1, BoardFailure.LARGER, marks=pytest.mark.slow),
+    pytest.param("symmetric_circles", -1, 0, BoardFailure.LARGER, marks=pytest.mark.slow),
+    pytest.param("symmetric_circles", 0, -2, BoardFailure.LARGER, marks=pytest.mark.slow),
+    ("separate_squares", -1, 0, BoardFailure.LARGER),
+    ("separate_squares", -1, -1, BoardFailure.LARGER),
+]
+
+
+@pytest.mark.parametrize(("kind", "columns", "rows", "failure"), SMALLER)
+def test_a_sheet_with_more_columns_or_rows_than_the_board_file_says_is_named(kind, columns, rows, failure, rng):
+    board = BOARDS[kind]
+    image, _ = photograph(board, "near, from the right", rng)
+
+    missing = find_board(
+        image, replace(board, squares_x=board.squares_x + columns, squares_y=board.squares_y + rows), "larger"
+    )
+
+    assert missing.failure is failure
+    assert f"squares_x: {board.squares_x}, squares_y: {board.squares_y}" in missing.finding
+
+
+def test_a_marker_of_another_board_beside_it_does_not_make_the_board_larger(rng):
+    image, _ = photograph(BOARDS["aprilgrid"], "far, from below", rng)
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    image[20:140, 20:140] = 200
+    image[40:120, 40:120] = cv2.aruco.generateImageMarker(family, 23, 80, borderBits=2) // 2 + 40
+
+    found = find_board(image, BOARDS["aprilgrid"], "two boards")
+
+    assert len(found.ids) > 60

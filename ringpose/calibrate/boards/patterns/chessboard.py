@@ -131,7 +131,7 @@ def chessboard_corners(
     regular = min(unrefined, key=irregularity, default=None)
     if regular is not None and irregularity(regular) < MAX_IRREGULARITY:  # noise can spoil the refinement
         return _exact_corners(image, regular), None
-    seen = largest_grid(image)
+    seen = None if larger else largest_grid(image)
     if seen is not None and (whole := with_lines_beyond(image, seen)).size > max(seen.size, 2 * rows * columns):
         larger.append(whole)
     elif seen is not None and seen.shape[:2] in ((rows, columns), (columns, rows)):

@@ -7,9 +7,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.geometry.board import marker_corners
+from ringpose.geometry.board import marker_corners, marker_ids
 from ringpose.types.arrays import Array, Float64, Int64, UInt8
-from ringpose.types.board import Board
+from ringpose.types.board import MAX_SQUARES, Board
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,17 +39,33 @@ def markers_of(quadrangles: Sequence[Any] | None, ids: Any) -> Markers:
     return Markers(ids=np.asarray(ids).ravel().astype(np.int64)[order], corners_px=corners[order])
 
 
+def board_markers(board: Board, markers: Markers) -> Markers:
+    """The board's own markers by their place in the order of `marker_corners`.
+
+    Of a number that occurs twice, it is ambiguous which of the markers is the board's: it is left out.
+    """
+    places = {number: place for place, number in enumerate(marker_ids(board))}
+    _, index, count = np.unique(markers.ids, return_inverse=True, return_counts=True)
+    is_own = np.isin(markers.ids, marker_ids(board)) & (count[index] == 1)
+    own_places = np.array([places[number] for number in markers.ids[is_own].tolist()], dtype=np.int64)
+    return Markers(ids=own_places, corners_px=markers.corners_px[is_own])
+
+
 # Comparison with the board
 
 MAX_CENTER_ERROR = 0.25
 """Maximum median distance of the markers' centres from the board's, in sides of a marker: 0.02 with distortion, above 1
 for another board."""
 
+MAX_NEAR_PLACE = 0.5
+"""Maximum distance of a marker's corners from where further rows of the board have them, in sides of a marker:
+distortion displaces them by less than 0.2; markers of another board that happen to lie so near have other numbers."""
+
 CORNER_ERROR_PX = 1.0
 """Bound of the inward bias of unrefined corners: blurred markers 40 px wide become 1.3 px too narrow."""
 
 _MIN_MARKERS = 4
-"""Minimum number of markers with which the layout is checked."""
+"""Minimum number of markers whose centres determine a homography, by which the layout is checked."""
 
 _MAX_SQUARES = 40
 """Largest number of columns that is tried when the markers do not fit the board file."""
@@ -93,9 +109,15 @@ def marker_layout(board: Board, markers: Markers) -> MarkerLayout | None:
 
 
 def other_layout(board: Board, markers: Markers) -> str | None:
-    """If the markers do not lie as on the board: the numbers of squares that would fit, as text; else None."""
+    """If the markers do not lie as on the board: the numbers of squares that would fit, as text; else None.
+
+    Of too few markers, or collinear ones, the corners must lie as on the board: in a mirrored image, two or three
+    markers can pass for others of the board, and corners of theirs would be numbered wrongly.
+    """
     layout = marker_layout(board, markers)
-    if layout is None or layout.center_error < MAX_CENTER_ERROR:
+    if layout is None:
+        return "" if len(markers.ids) > 1 and _corner_error(board, markers) > MAX_CENTER_ERROR else None
+    if layout.center_error < MAX_CENTER_ERROR:
         return None
     for other in _other_boards(board, int(markers.ids.max())):
         layout_on_other = marker_layout(other, markers)
@@ -103,6 +125,64 @@ def other_layout(board: Board, markers: Markers) -> str | None:
             legacy = f", legacy_pattern: {str(other.legacy_pattern).lower()}" * (other.kind == "charuco")
             return f"but as with squares_x: {other.squares_x}, squares_y: {other.squares_y}{legacy}"
     return "nor with any other squares_x" if board.squares_x else ""
+
+
+def _corner_error(board: Board, markers: Markers) -> float:
+    """Median distance of the markers' corners from their places on the board, in sides of a marker in the image."""
+    corners_m = marker_corners(board)[markers.ids].reshape(-1, 3)[:, :2]
+    expected_px = _projected(corners_m, corners_m, markers.corners_px.reshape(-1, 2))
+    if expected_px is None:
+        return float("inf")
+    error_px = np.linalg.norm(expected_px - markers.corners_px.reshape(-1, 2), axis=-1)
+    return float(np.median(error_px)) / _side_px(markers)
+
+
+def _projected(
+    points_m: Float64[Array, "point xy=2"],
+    corners_m: Float64[Array, "corner xy=2"],
+    corners_px: Float64[Array, "corner xy=2"],
+) -> Float64[Array, "point xy=2"] | None:
+    """Points on the board in the image, by the homography of these corners; None if there is none."""
+    image_from_board: Any = cv2.findHomography(corners_m, corners_px)[0]
+    if image_from_board is None:
+        return None
+    return np.asarray(cv2.perspectiveTransform(points_m[None], image_from_board)[0], dtype=np.float64)
+
+
+def _side_px(markers: Markers) -> float:
+    return float(np.median(np.linalg.norm(np.diff(markers.corners_px, axis=1), axis=-1)))
+
+
+def rows_beyond(board: Board, own: Markers, markers: Markers) -> int | None:
+    """Number of rows of the board in the image, if markers with numbers beyond the board lie as in further rows of it.
+
+    `own` are the board's among the `markers`.
+    """
+    rows, is_other = board.squares_y, markers.ids >= len(marker_corners(board))
+    if board.markers or not rows or len(own.ids) < 2 or not is_other.any():
+        return None
+    others = Markers(ids=markers.ids[is_other], corners_px=markers.corners_px[is_other])
+    # Two rows are added at a time: the squares of a legacy ChArUco board have colours by the parity of its rows.
+    larger = (replace(board, squares_y=more) for more in range(rows + 2, MAX_SQUARES + 2, 2))
+    whole = next((one for one in larger if len(marker_corners(one)) > int(others.ids.max())), None)
+    if whole is None:
+        return None
+    corners_m = marker_corners(whole)[..., :2]
+    # On an AprilGrid the added rows are above marker 0, so that places count from the larger board's corner.
+    places_m = corners_m[own.ids].reshape(-1, 2), corners_m[others.ids].reshape(-1, 2)
+    expected_px = _projected(places_m[1], places_m[0], own.corners_px.reshape(-1, 2))
+    if expected_px is None:
+        return None
+    error_px = np.linalg.norm(expected_px.reshape(-1, 4, 2) - others.corners_px, axis=-1).max(axis=1)
+    beyond = others.ids[error_px < MAX_NEAR_PLACE * _side_px(others)]
+    return next(
+        (
+            more
+            for more in range(rows + 1, (whole.squares_y or 0) + 1)
+            if len(beyond) and len(marker_corners(replace(board, squares_y=more))) > int(beyond.max())
+        ),
+        None,
+    )
 
 
 def _other_boards(board: Board, last: int) -> Iterator[Board]:

@@ -33,8 +33,16 @@ class Squares(NamedTuple):
     """Correlation of a side's errors at its two ends."""
 
 
-def board_squares(grey: GreyImage, columns: int, rows: int, gap_per_side: float) -> Squares | int:
-    """The squares of a board in the image, or their number in the largest grid if that has not its columns and rows.
+class OtherGrid(NamedTuple):
+    """The largest grid of squares in an image, if it has not the board's columns and rows."""
+
+    squares: int
+    columns: int
+    rows: int
+
+
+def board_squares(grey: GreyImage, columns: int, rows: int, gap_per_side: float) -> Squares | OtherGrid:
+    """The squares of a board in the image, or the largest grid of them if that has not its columns and rows.
 
     Single squares may be hidden: the others show the number of each as long as all rows and columns are seen.
     """
@@ -44,7 +52,7 @@ def board_squares(grey: GreyImage, columns: int, rows: int, gap_per_side: float)
     places = seen - seen.min(axis=0, initial=0)
     size = tuple((places.max(axis=0, initial=-1) + 1).tolist())
     if size not in ((columns, rows), (rows, columns)):
-        return len(grid)
+        return OtherGrid(len(grid), *size)
     if size != (columns, rows):
         places, size = places[:, ::-1], (columns, rows)
     ordered = _in_board_order(quadrangles[list(grid.values())], places, size)
