@@ -49,6 +49,9 @@ MIN_CORNER_PX = 0.01
 STAMP_BOUNDS_S = (1e-5, 0.1)
 """Bounds of the standard deviation of the stamps of single images, about the delay."""
 
+AT_BOUND = 0.9
+"""Share of an upper bound from which it counts as reached: 45 mm or 2.6 degrees, or 90 ms."""
+
 _ITERATIONS = 12
 _MIN_STEP = 1e-3
 """Mahalanobis length of a step below which the iteration has converged."""

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.calibrate.mount.adjustment import MountSolution
+from ringpose.calibrate.mount.adjustment import AT_BOUND, STAMP_BOUNDS_S, MountSolution
 from ringpose.calibrate.mount.moving import MAX_DELAY_S, twist_between
 from ringpose.calibrate.mount.stations import Station
 from ringpose.geometry.least_squares import covariance_of_free
@@ -48,7 +48,8 @@ def open_delay(solution: MountSolution, stations: Sequence[Station]) -> OpenDela
     delay_s, sd_s = solution.state.delay_s, float(np.sqrt(solution.covariance[12, 12]))
     as_good = np.append(delays_s[chi2[:-1] < chi2[-1] + by_chance], delay_s)
     expected_s = max(_MAX_WIDER * np.sqrt(by_chance) * sd_s, _STEP_S)
-    if np.abs(as_good - delay_s).max() < expected_s and _moves(solution, stations):
+    has_stamps = solution.stamp_sd_s < AT_BOUND * STAMP_BOUNDS_S[1]  # else any pose of a halt fits
+    if np.abs(as_good - delay_s).max() < expected_s and has_stamps and _moves(solution, stations):
         return None
     first_s, last_s = float(as_good.min()), float(as_good.max())
     return OpenDelay((first_s + last_s) / 2.0, max((last_s - first_s) / np.sqrt(12.0), sd_s))

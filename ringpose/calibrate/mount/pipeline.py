@@ -10,6 +10,7 @@ from ringpose.calibrate.boards.corner_errors import without_distortion_bias
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.mount import closed_form
 from ringpose.calibrate.mount.adjustment import (
+    AT_BOUND,
     MIN_FREE_VIEWS,
     ROTATION_BOUNDS_RAD,
     TRANSLATION_BOUNDS_M,
@@ -44,9 +45,6 @@ from ringpose.types.robot import ReportedPose
 
 MAX_WRONG_SHARE = 1 / 3
 """Share of the views up to which single ones are left out as wrong."""
-
-AT_BOUND = 0.9
-"""Share of the upper bound of the robot's error from which it counts as reached: 45 mm or 2.6 degrees."""
 
 MAX_SCALE = 1.1
 """Factor between the robot's and the board's lengths from which one of them has another unit or a wrong size."""
