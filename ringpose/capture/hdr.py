@@ -24,9 +24,6 @@ MAX_DN = 65000
 FULL_WELL_E, DARK_NOISE_E = 10_000.0, 40.0
 """Full-well capacity and dark noise in electrons, between those of common and of noisy sensors."""
 
-ROUNDING_DN2 = 1 / 12
-"""Quantisation variance of whole grey values."""
-
 PEDESTAL_SHARE = 1 / 32
 """Offset as a share of the full grey value, so that the noise of dark pixels is not cut off at zero."""
 
@@ -105,7 +102,7 @@ def _mean_rate(
     usable = [image < FULL_SHARE * shot.saturation_dn for image, _ in frames]
     rates = [(image - np.float32(black_dn)) / exposure_s for image, exposure_s in frames]
     gain = np.float32(shot.saturation_dn / FULL_WELL_E)
-    dark_variance = np.float32((gain * DARK_NOISE_E) ** 2 + ROUNDING_DN2)
+    dark_variance = (gain * np.float32(DARK_NOISE_E)) ** 2
 
     def mean(weights: Sequence[np.float32 | Float32[Array, "row column"]]) -> Float32[Array, "row column"]:
         counted = [weight * is_usable for weight, is_usable in zip(weights, usable, strict=True)]
