@@ -27,10 +27,12 @@ class Scene(FakeCamera):
 
     image_width, image_height = 200, 120
 
-    def __init__(self, stripe_dn_s: tuple[float, ...], ambient_dn_s: float = 0.0, first_s: float = 0.01) -> None:
+    def __init__(
+        self, stripe_dn_s: tuple[float, ...], ambient_dn_s: float = 0.0, first_s: float = 0.01, sigma_px: float = 1.5
+    ) -> None:
         y = np.arange(120.0)[:, None]
         self._stripes = [
-            rate * np.exp(-0.5 * ((y - row) / 1.5) ** 2) * np.ones(200)
+            rate * np.exp(-0.5 * ((y - row) / sigma_px) ** 2) * np.ones(200)
             for rate, row in zip(stripe_dn_s, ROWS, strict=True)
         ]
         self._ambient_dn_s = ambient_dn_s
@@ -66,6 +68,12 @@ def test_the_first_shot_is_neither_dim_nor_saturated_wherever_the_exposure_begin
 
     brightest_dn = np.percentile(shot.images[2][60], 90)
     assert 0.35 * FULL_DN < brightest_dn < FULL_DN
+
+
+def test_a_thin_stripe_is_exposed_by_its_brightest_row():
+    shot = first_shot(Scene((60_000.0, 80_000.0, 50_000.0), sigma_px=0.7))
+
+    assert 0.35 * FULL_DN < np.percentile(shot.images[2][60], 90) < FULL_DN
 
 
 @pytest.mark.parametrize("first_s", [0.001, 0.02])

@@ -238,10 +238,18 @@ def test_the_quick_search_sees_only_clutter_where_the_thorough_ones_would_take_s
     assert find_board(blurred(walls, 1.5), CHESSBOARD, "walls").failure is BoardFailure.NOT_WHOLE
 
 
-@pytest.mark.parametrize(("blur_px", "reason"), [(2.5, BoardFailure.BLURRED), (0.7, BoardFailure.FEW_CORNERS)])
-def test_blur_is_reported_only_if_it_is_wide_against_the_markers_cells(blur_px, reason):
-    """The cells of the markers are 4.6 pixels wide."""
-    image = drawn_board(CHARUCO)
+@pytest.mark.parametrize(
+    ("scale", "blur_px", "reason"),
+    [
+        (1, 2.5, BoardFailure.BLURRED),
+        (1, 0.7, BoardFailure.FEW_CORNERS),
+        (2, 3.3, BoardFailure.BLURRED),
+        (2, 2.5, BoardFailure.FEW_CORNERS),  # nearly all markers are still decoded
+    ],
+)
+def test_blur_is_reported_only_if_it_is_wide_against_the_markers_cells(scale, blur_px, reason):
+    """The cells of the markers are 5.1 pixels wide, times the scale."""
+    image = cv2.resize(drawn_board(CHARUCO), None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     markers = find_markers(image, marker_dictionary(CHARUCO))
 
     found = charuco_failure(cv2.GaussianBlur(image, (0, 0), blur_px), CHARUCO, 3, markers)

@@ -35,6 +35,18 @@ def test_corners_are_found_where_they_are_drawn(kind, rng):
     assert np.abs(errors_px).max() < 0.3
 
 
+def test_squares_of_a_board_on_its_side_begin_at_its_own_top_left(rng):
+    board, ink, outline_m, _ = KINDS["separate squares"]
+    turn, place = pose = tilted_poses(rng, outline_m, 1)[0]
+    on_its_side = np.rot90(drawn_view(ink, pose, rng), -1).copy()
+
+    view = find_board(on_its_side, board, "on its side")
+
+    assert len(view.ids) == 4 * 6 * 5
+    drawn = np.stack([view.points_px[:, 1], CAMERA.image_height - 1 - view.points_px[:, 0]], axis=1)
+    assert np.abs(drawn - projected_px(view.points_board_m @ turn.T + place, CAMERA)).max() < 0.3
+
+
 def test_squares_with_other_counts_are_refused_and_with_another_gap_measured(rng):
     board, ink, outline_m, _ = KINDS["separate squares"]
     image = drawn_view(ink, tilted_poses(rng, outline_m, 1)[0], rng)

@@ -20,6 +20,8 @@ from ringpose.calibrate.camera.validation import (
     cameras_one_step_away,
     cameras_without_one,
     displacement_px,
+    held_out_rms_px,
+    model_comparison,
     projection_sigma_px,
     radial_stretch_sd,
 )
@@ -85,6 +87,27 @@ def test_views_of_noise_alone_hardly_ever_widen_the_covariance(views):
         wider += assessed.standard_deviations["fx"] > 1.01 * found.standard_deviations["fx"]
 
     assert wider <= 2
+
+
+def test_held_out_views_count_by_their_corners(views):
+    boards = views(4)
+    few = np.arange(0, 98, 7)
+    noisy = replace(
+        boards[0],
+        ids=boards[0].ids[few],
+        points_px=boards[0].points_px[few] + np.tile([[3.0, -3.0], [-3.0, 3.0]], (7, 1)),
+        points_board_m=boards[0].points_board_m[few],
+    )
+    used = [noisy, *boards[1:]]
+    whole = camera_solution(used, TRUE_CAMERA, PLUMB_BOB)
+
+    fit, _ = model_comparison(used, whole, PLUMB_BOB).fits
+
+    others = cameras_without_one(used, whole, PLUMB_BOB)
+    held_out_px = [held_out_rms_px(view, each) for view, each in zip(used, others, strict=True)]
+    counts = [len(view.ids) for view in used]
+    assert held_out_px[0] > 3.0 * max(held_out_px[1:])
+    assert fit.held_out_rms_px == pytest.approx(np.sqrt(np.dot(counts, np.square(held_out_px)) / sum(counts)))
 
 
 def test_views_of_a_bent_board_widen_the_covariance(views):

@@ -8,6 +8,7 @@ import pytest
 from known_views import CHESSBOARD, TRUE_CAMERA, board_view
 from scipy.spatial.transform import Rotation
 
+from ringpose.calibrate.mount.adjustment import RobotSigmas, ViewNumbers, robot_sigmas
 from ringpose.calibrate.mount.closed_form import Transform
 from ringpose.calibrate.mount.pipeline import calibrate_mount
 from ringpose.calibrate.mount.quality import compared_mount, comparison_verdict, mount_verdict
@@ -16,6 +17,7 @@ from ringpose.errors import DataError
 from ringpose.geometry.board import corner_points
 from ringpose.geometry.robot_conventions import convention_named
 from ringpose.types.calibration import Grade
+from ringpose.types.rig import ParameterCovariance, camera_parameters
 
 CORNERS_M = corner_points(CHESSBOARD)[::4].copy()
 MIDDLE_M = np.array([0.15, 0.125, 0.0])
@@ -110,6 +112,60 @@ def test_the_robots_error_is_estimated_from_enough_views(rng):
 
     assert sigmas.rotation_rad == pytest.approx(2e-3, rel=0.4)
     assert sigmas.translation_m == pytest.approx(5e-4, rel=0.4)
+
+
+def test_the_robots_error_is_that_of_the_greatest_restricted_likelihood(rng):
+    """Searle, Casella, McCulloch, Variance Components, 1992, Eq. 6.66, of all numbers at once."""
+    views, common = 8, 12
+    true = RobotSigmas(rotation_rad=2e-3, translation_m=5e-4)
+    design = rng.normal(size=(views, 6, common))
+    noise = np.repeat([2e-4, 2e-4], 3) * rng.uniform(0.5, 2.0, (views, 6))
+    z = rng.normal(size=(views, 6)) * np.sqrt(true.variances + noise**2)
+    numbers = ViewNumbers(
+        z=z, covariance=np.einsum("vi,ij->vij", noise**2, np.eye(6)), wrt_common=design,
+        wrt_error=np.tile(np.eye(6), (views, 1, 1)),
+        wrt_stamp=np.zeros((views, 6)), wrt_camera=np.zeros((views, 6, 9)),
+        camera_information=np.zeros((views, common, common)), camera_gradient=np.zeros((views, common)),
+    )  # fmt: skip
+
+    sigmas = robot_sigmas(numbers, np.zeros((common, common)))
+
+    def minus_log_likelihood(rotation_rad: float, translation_m: float) -> float:
+        variance = (RobotSigmas(rotation_rad, translation_m).variances + noise**2).ravel()
+        x, weighted = design.reshape(-1, common), design.reshape(-1, common) / variance[:, None]
+        information = x.T @ weighted
+        projection = np.diag(1 / variance) - weighted @ np.linalg.solve(information, weighted.T)
+        return 0.5 * (np.log(variance).sum() + np.linalg.slogdet(information)[1] + z.ravel() @ projection @ z.ravel())
+
+    least = minus_log_likelihood(*sigmas)
+    for factors in ((1.03, 1.0), (1 / 1.03, 1.0), (1.0, 1.03), (1.0, 1 / 1.03)):
+        assert least < minus_log_likelihood(*np.multiply(sigmas, factors))
+
+
+def test_an_unsure_focal_length_widens_the_mount_along_the_optical_axis(rng):
+    """The boards, at 0.4 to 0.6 m, would be further away by the same ratio."""
+    _, stations = world(rng, 6)
+    ratio_sd = 2e-3
+    sd_px = np.zeros(9)
+    sd_px[:2] = ratio_sd * TRUE_CAMERA.camera_matrix[[0, 1], [0, 1]]
+    unsure = ParameterCovariance(parameters=camera_parameters(5), data=np.outer(sd_px, sd_px))
+
+    exact = calibrate_mount(stations, TRUE_CAMERA).covariance
+    widened = calibrate_mount(stations, replace(TRUE_CAMERA, covariance=unsure)).covariance
+
+    assert np.linalg.eigvalsh(widened - exact).min() > -1e-12
+    assert 0.4 * ratio_sd < np.sqrt(np.trace((widened - exact)[3:6, 3:6])) < 0.8 * ratio_sd
+
+
+def test_a_camera_with_a_wrong_focal_length_is_refined_with_the_mount(rng):
+    mount, stations = world(rng, 8, robot=(1e-5, 1e-6))
+    wrong = replace(TRUE_CAMERA, camera_matrix=TRUE_CAMERA.camera_matrix * np.array([[1.005], [1.005], [1.0]]))
+
+    calibration = calibrate_mount(stations, wrong, refine_camera=True)
+
+    refined = calibration.solution.state.camera.camera_matrix
+    np.testing.assert_allclose(np.diag(refined)[:2], np.diag(TRUE_CAMERA.camera_matrix)[:2], rtol=5e-4)
+    assert np.linalg.norm(error_of(calibration, mount)[3:]) < 1e-3
 
 
 def test_turns_about_one_axis_are_refused_and_the_missing_one_named(rng):

@@ -5,7 +5,13 @@ import pytest
 from known_views import TRUE_CAMERA
 from recorded_shots import make_shot
 
-from ringpose.calibrate.planes.stripes.extraction import BoardSurface, board_surface, triangulated
+from ringpose.calibrate.planes.stripes.extraction import (
+    PRINT_MARGIN_PX,
+    BoardSurface,
+    board_surface,
+    triangulated,
+    with_sheet_seen,
+)
 from ringpose.geometry.rays import project
 from ringpose.types.board import Board, BoardPose
 from ringpose.types.image import Shot
@@ -38,6 +44,17 @@ def usable_at(surface, project_px, place_m) -> bool:
 )
 def test_only_light_squares_away_from_their_edges_are_used(place_m, usable, surface):
     assert usable_at(surface, lambda point: project(point, TRUE_CAMERA), place_m) is usable
+
+
+@pytest.mark.parametrize("row_px", [300, 301])
+def test_the_sheet_ends_a_margin_before_its_edge_in_the_image(row_px, surface):
+    image = seen(surface, [1], True).images[0]
+    image[:row_px] = 20
+
+    sheet = with_sheet_seen(surface, image).sheet
+
+    first_px = np.flatnonzero(sheet.any(axis=1))[0] * len(image) // len(sheet)
+    assert PRINT_MARGIN_PX <= first_px - row_px < PRINT_MARGIN_PX + 4
 
 
 def seen(surface, lasers, first_is_dark) -> Shot:

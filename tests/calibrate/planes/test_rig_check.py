@@ -9,8 +9,9 @@ from known_views import DISTANCES_M, NORMALS, TRUE_CAMERA, stripe_views, true_po
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import calibrated_rig
 from ringpose.calibrate.planes.recheck.board_check import FLATNESS_M, rig_check
+from ringpose.calibrate.planes.recheck.update import BoardRecheck
 from ringpose.geometry.rotations import tilted
-from ringpose.types.rig import LaserPlanes, Rig
+from ringpose.types.rig import LaserPlanes, ParameterCovariance, Rig, laser_parameters
 
 NAMES = ("left", "middle", "right")
 
@@ -34,6 +35,21 @@ def test_a_plane_that_turned_about_the_middle_of_its_stripe_is_seen_at_the_ends(
 
     assert not check.lasers[1].holds
     assert 0.8e-4 < abs(check.lasers[1].offset_m) < 2.5e-4
+
+
+def test_the_plane_that_has_moved_is_named_among_those_that_hold(true_rig, rng):
+    normals = np.array([NORMALS[0], tilted(NORMALS[1], np.array([5e-3, 0.0])), NORMALS[2]])
+    covariance = ParameterCovariance(parameters=laser_parameters(NAMES), data=1e-8 * np.eye(9))
+    lasers = replace(true_rig.lasers, normal=normals)
+    recheck = BoardRecheck(replace(true_rig, lasers=lasers, covariance=covariance), None)
+    for view in stripe_views(true_poses(rng, 4), rng, 0.02, 0.05):
+        recheck.add(view)
+
+    assert recheck.contradicted
+    assert recheck.moved_lasers() == [1]
+    lines = recheck.evidence_lines([1])
+    assert [line.split(":")[0] for line in lines] == list(NAMES)
+    assert ["does not hold: has moved by 0.29 degrees" in line for line in lines] == [False, True, False]
 
 
 @pytest.mark.parametrize(

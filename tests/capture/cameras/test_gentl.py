@@ -69,11 +69,11 @@ class Nodes:
 
 
 class Acquirer:
-    """A fake camera; every second frame is incomplete if requested."""
+    """A fake camera; frames of these numbers are incomplete, or do not come at all."""
 
-    def __init__(self, broken: tuple[int, ...] = ()) -> None:
+    def __init__(self, broken: tuple[int, ...] = (), missing: tuple[int, ...] = ()) -> None:
         self.remote_device = SimpleNamespace(node_map=Nodes())
-        self.broken = broken
+        self.broken, self.missing = broken, missing
         self.buffers: list[Buffer] = []
         self.state: list[str] = []
 
@@ -86,8 +86,10 @@ class Acquirer:
     def destroy(self) -> None:
         self.state.append("destroyed")
 
-    def try_fetch(self, timeout: float) -> Buffer:
+    def try_fetch(self, timeout: float) -> Buffer | None:
         number = self.remote_device.node_map.triggered
+        if number in self.missing:
+            return None
         self.buffers.append(Buffer(number, complete=number not in self.broken))
         return self.buffers[-1]
 
@@ -125,8 +127,9 @@ def test_each_trigger_gives_one_frame_and_returns_the_buffer(harvested):
     assert acquirer.state == ["started", "destroyed"]
 
 
-def test_an_incomplete_frame_is_triggered_again(harvested):
-    with (camera := harvested(Acquirer(broken=(1, 2)))):
+@pytest.mark.parametrize("spoiled", [{"broken": (1, 2)}, {"missing": (1, 2)}])
+def test_a_frame_that_is_incomplete_or_missing_is_triggered_again(harvested, spoiled):
+    with (camera := harvested(Acquirer(**spoiled))):
         frame = camera.trigger(0)
 
     assert (frame.attempts, int(frame.image[0, 0])) == (3, 3)

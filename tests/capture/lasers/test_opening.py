@@ -46,6 +46,15 @@ def test_a_watchdog_that_dies_while_it_opens_is_replaced(board, monkeypatch):
     assert on_mask(relays) == 0
 
 
+def test_a_board_that_restarts_for_long_is_waited_for(board, monkeypatch):
+    opens_at_once = "print('0 ok echoes', flush=True); import sys; sys.stdin.read()  # {separator}"
+    monkeypatch.setattr("ringpose.capture.lasers.watchdog._START", opens_at_once)
+    with board("lcus") as (_, uri):
+        lasers = lasers_at(f"{uri}&opening=13")
+        lasers.open()
+        lasers.close()
+
+
 @pytest.mark.parametrize("scheme", [pytest.param("numato", marks=pytest.mark.slow), "modbus"])
 def test_a_board_of_eight_relays_that_is_silent_is_no_safety_fault(scheme):
     master, slave = os.openpty()
