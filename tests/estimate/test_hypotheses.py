@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from moving_cameras import SeenByRobot, in_base, robot
 from moving_rings import START_S, Motion
-from ring_scenes import break_points_of, face_points_of, make_scene, scene_of, with_lines, with_stripes
+from ring_scenes import RIGS, break_points_of, face_points_of, make_scene, scene_of, with_lines, with_stripes
 
 from ringpose.detect.break_points import without_outliers
 from ringpose.files.scenes.scene import read_scene
@@ -16,6 +16,7 @@ from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
 from ringpose.types.detection import BreakPointFlag
 from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, PoseFlag, RingPose
+from ringpose.types.rig import LaserPlanes
 
 KNOWN = KnownRadii(radius_m=np.array([0.567, 0.597]), sd_m=np.array([2e-4, 2e-4]))
 OTHER = KnownRadii(radius_m=np.array([0.64, 0.67]), sd_m=np.array([2e-4, 2e-4]))
@@ -141,6 +142,26 @@ def test_a_wrong_stripe_is_left_out_or_owned_up_to(scene, points, laser):
 
 @pytest.mark.parametrize("pair", [(0, 1), (1, 2), (0, 2)])
 def test_exchanged_lasers_are_put_right(scene, points, pair):
+    pose = estimate_pose(replace(exchanged(points, *pair), labelled=False), scene.rig, known=KNOWN)
+
+    assert PoseFlag.ASSIGNMENT_AMBIGUOUS in pose.flags
+    assert sigmas_off(pose, scene) < 4.0
+
+
+@pytest.mark.parametrize("pair", [(0, 3), (1, 2)])
+def test_two_exchanged_lasers_of_four_are_put_right(pair, rng):
+    planes = RIGS["B"].lasers
+    added = np.array([0.0, np.cos(0.09), -np.sin(0.09)])
+    lasers = LaserPlanes(
+        names=(*planes.names, "fourth"),
+        normal=np.vstack([planes.normal, added]),
+        distance_m=np.append(planes.distance_m, -0.055),
+        projector_m=np.full((4, 3), np.nan),
+    )
+    scene = make_scene(replace(RIGS["B"], lasers=lasers), distance_m=0.5, tilt_rad=(0.15, -0.1))
+
+    points = face_points_of(scene, 0.3, 0.01, rng)
+
     pose = estimate_pose(replace(exchanged(points, *pair), labelled=False), scene.rig, known=KNOWN)
 
     assert PoseFlag.ASSIGNMENT_AMBIGUOUS in pose.flags
