@@ -164,7 +164,7 @@ def test_poses_of_a_robots_own_table_are_those_of_records(mounted, tmp_path, run
 def test_a_table_of_robot_poses_without_stamps_is_named_with_its_line(mounted, tmp_path, run):
     rig, shots = mounted
     table = tmp_path / "robot.csv"
-    table.write_text("x,y,z,a,b,c\n1000,200,300,0,0,0\n")
+    table.write_text("x,y,z,a,b,c\n1000,200,300,0,0,0\n1000,200,310,0,0,0\n")
 
     found = run("pose", shots, "--rig", rig, "--robot-poses", table, "--robot-convention", "kuka")
 
