@@ -10,7 +10,7 @@ import pytest
 from ringpose.processes import LimitedCalls, WorkerKilled, in_order
 
 
-@pytest.mark.parametrize("jobs", [1, 3])
+@pytest.mark.parametrize("jobs", [1, 2])
 def test_results_come_in_order(jobs):
     assert list(in_order(partial(pow, 2), 12, jobs)) == [2**k for k in range(12)]
 

@@ -1,5 +1,7 @@
 """The page of the console over its socket: what is refused, and that it goes on after an exception."""
 
+from contextlib import contextmanager
+
 import pytest
 from served_scene import small_scene
 
@@ -14,23 +16,33 @@ from ringpose.errors import InputOutputError
 from ringpose.files.rigs import rig_in
 
 
-@pytest.fixture
-def page(tmp_path):
-    """A page of a small scene; recording fails as on a full disk."""
+@contextmanager
+def connected_client(folder):
+    """A client that has seen the first measurement of a small scene's page; recording fails as on a full disk."""
 
     def record(_):
         raise InputOutputError("shots", "no space left on device")
 
-    with ConsolePage(small_scene(tmp_path), "127.0.0.1", None, 160, trajectory_in, rig_in, record) as opened:
-        yield opened
+    with (
+        ConsolePage(small_scene(folder), "127.0.0.1", None, 160, trajectory_in, rig_in, record) as page,
+        PageClient(page.port) as connected,
+    ):
+        connected.look()
+        connected.wait_for(lambda: "errors: " in connected.texts)
+        yield connected
 
 
 @pytest.fixture
-def client(page):
-    """A client that has seen the first measurement."""
-    with PageClient(page.port) as connected:
-        connected.look()
-        connected.wait_for(lambda: "errors: " in connected.texts)
+def client(tmp_path):
+    """A client of a page of its own."""
+    with connected_client(tmp_path) as connected:
+        yield connected
+
+
+@pytest.fixture(scope="module")
+def steady_client(tmp_path_factory):
+    """A client of tests that leave the state of the page as it was."""
+    with connected_client(tmp_path_factory.mktemp("page")) as connected:
         yield connected
 
 
@@ -46,7 +58,8 @@ def client(page):
         ("sequence", "<b>", "&#60;b&#62;"),
     ],
 )
-def test_a_value_that_is_not_taken_is_named_below_its_field_until_another_is(client, label, value, word):
+def test_a_value_that_is_not_taken_is_named_below_its_field_until_another_is(steady_client, label, value, word):
+    client = steady_client
     before = client.elements[client.of(label)]["value"]
 
     client.set(label, value)

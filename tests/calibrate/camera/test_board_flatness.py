@@ -36,13 +36,13 @@ def solved(boards: Sequence[BoardView]) -> CameraSolution:
 
 
 def test_a_flat_board_is_not_reported_as_bowed(rng):
-    flat = views(rng, [0.0] * 10)
+    flat = views(rng, [0.0] * 8)
 
     assert bow_error(flat, solved(flat), PLUMB_BOB).finding.grade is Grade.GOOD
 
 
 def test_a_bowed_board_is_reported_with_its_height(rng):
-    bowed = views(rng, [1e-4] * 10)
+    bowed = views(rng, [1e-4] * 8)
 
     finding, _ = bow_error(bowed, solved(bowed), PLUMB_BOB)
 
@@ -70,7 +70,7 @@ def normalised_error(found: CameraCalibration) -> float:
 
 
 def test_the_covariance_contains_the_error_by_a_bow(rng):
-    bowed = views(rng, [3e-4] * 12)
+    bowed = views(rng, [3e-4] * 8)
     found = calibrate_camera(bowed, 1600, 1200)
 
     assessed = camera_assessment(found, PLUMB_BOB)
@@ -132,7 +132,7 @@ def test_the_standard_deviations_of_a_bent_board_are_as_wide_as_the_errors(shape
 
 
 def test_noise_alone_does_not_inflate_the_covariance(rng):
-    found = calibrate_camera(views(rng, [0.0] * 10), 1600, 1200)
+    found = calibrate_camera(views(rng, [0.0] * 8), 1600, 1200)
 
     assessed = camera_assessment(found, PLUMB_BOB)
 

@@ -32,7 +32,7 @@ def test_exact_views_give_the_exact_planes(model, number, rng):
 
 def test_bent_light_planes_are_measured_within_their_errors_and_flat_ones_are_not_bent(rng):
     true = np.array([0.0114, 0.0, -0.004])
-    views = stripe_views(true_poses(rng, 8), rng, corner_px=0.02, center_px=0.15, bow_per_rad=true)
+    views = stripe_views(true_poses(rng, 6), rng, corner_px=0.02, center_px=0.15, bow_per_rad=true)
 
     bows = calibrate_planes(views, TRUE_CAMERA, MODEL).bows
 
@@ -44,7 +44,7 @@ def test_bent_light_planes_are_measured_within_their_errors_and_flat_ones_are_no
 
 
 def test_a_lens_that_may_bend_the_stripes_as_much_leaves_a_bend_open(rng):
-    views = stripe_views(true_poses(rng, 8), rng, center_px=0.15, bow_per_rad=[0.002, 0.002, 0.002])
+    views = stripe_views(true_poses(rng, 5), rng, center_px=0.15, bow_per_rad=[0.002, 0.002, 0.002])
     names = camera_parameters(5)
     loose = ParameterCovariance(parameters=names, data=np.diag([0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.01, 0.01, 0.1]) ** 2)
 
@@ -113,7 +113,7 @@ def test_stripes_without_a_common_plane_are_rejected(rng):
 
 
 def test_a_stripe_beside_its_plane_is_left_out_by_name(rng):
-    views = stripe_views(true_poses(rng, 8), rng, 0.02, 0.05)
+    views = stripe_views(true_poses(rng, 6), rng, 0.02, 0.05)
     views[2] = replace(views[2], stripes_px=(views[2].stripes_px[0] + [0.0, 8.0], *views[2].stripes_px[1:]))
 
     found = calibrate_planes(views, TRUE_CAMERA, MODEL)
@@ -192,7 +192,7 @@ def wrong_camera(camera, wrong, covariance):
 def test_a_free_camera_comes_nearer_to_the_truth(rng, camera_covariance):
     wide = replace(camera_covariance, data=100 * camera_covariance.data)
     camera = wrong_camera(TRUE_CAMERA, np.array([3.0, 3.0, 2.0, -2.0, 0, 0, 0, 0, 0]), wide)
-    views = stripe_views(true_poses(rng, 8), rng, 0.01, 0.05)
+    views = stripe_views(true_poses(rng, 5), rng, 0.01, 0.05)
 
     held = calibrate_planes(views, camera, MODEL)
     freed = calibrate_planes(views, camera, replace(MODEL, free_camera=True))
@@ -227,7 +227,7 @@ def test_a_bent_board_widens_the_covariance(rng):
 
 
 def test_the_laser_that_disagrees_stands_out(rng):
-    views = stripe_views(true_poses(rng, 8), rng, 0.02, 0.05)
+    views = stripe_views(true_poses(rng, 6), rng, 0.02, 0.05)
     views = [
         replace(view, stripes_px=(*view.stripes_px[:2], view.stripes_px[2] + [0.0, 0.5 * (-1.0) ** index]))
         for index, view in enumerate(views)
