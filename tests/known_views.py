@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from drawn_boards import FOUR
-from ring_scenes import make_camera
+from ring_scenes import RIGS
 
 from ringpose.geometry.board import corner_points
 from ringpose.geometry.rotations import tilt_basis
@@ -12,7 +12,7 @@ from ringpose.types.board import Board, BoardView
 from ringpose.types.calibration import PlanesCalibration, StripeView
 from ringpose.types.rig import Camera
 
-TRUE_CAMERA = make_camera((1600, 1200), (1781.3, 1780.6), (803.7, 596.2), (-0.105, 0.118, 0.00055, -0.0004, 0.0))
+TRUE_CAMERA = RIGS["B"].camera
 NORMALS = np.array([[0.0, np.cos(a), -np.sin(a)] for a in (0.18, 0.0, -0.17)])
 DISTANCES_M = np.array([-0.039, -0.070, -0.040])
 """Of the light planes."""

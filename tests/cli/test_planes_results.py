@@ -6,19 +6,12 @@ import numpy as np
 import pytest
 from needed import needed_module
 from plane_views import ORDER, calibrate, copy_views, run_in, written
+from ring_scenes import RIGS
 
 from ringpose.calibrate.camera.parameters import parameters_of
 from ringpose.cli.main import main
 from ringpose.files.rigs import read_rig
 from ringpose.geometry.rotations import tilt_basis
-
-TRUE_NORMALS = np.array(
-    [
-        [0.00566835033, 0.984148362139, -0.17725651216],
-        [-0.004363296259, 0.9999874955, 0.002443458521],
-        [-0.007049019511, 0.985054082892, 0.172101031672],
-    ]
-)
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +24,7 @@ def run(carried_data, tmp_path_factory):
 
 def worst_angle_deg(rig: dict) -> float:
     normals = np.array([laser["normal"] for laser in rig["lasers"]])
-    return float(np.degrees(np.linalg.norm(np.cross(normals, TRUE_NORMALS), axis=1).max()))
+    return float(np.degrees(np.linalg.norm(np.cross(normals, RIGS["B"].lasers.normal), axis=1).max()))
 
 
 @pytest.mark.parametrize(

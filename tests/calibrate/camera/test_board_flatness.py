@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_views import TRUE_CAMERA, board_view, true_poses
+from known_views import CHESSBOARD, TRUE_CAMERA, board_view, true_poses
 
 from ringpose.calibrate.camera.assessment import bow_error, camera_assessment
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
@@ -13,10 +13,10 @@ from ringpose.calibrate.camera.parameters import PLUMB_BOB, CameraModel, paramet
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.camera.quality import camera_verdict
 from ringpose.geometry.board import corner_points
-from ringpose.types.board import Board, BoardView
+from ringpose.types.board import BoardView
 from ringpose.types.calibration import CameraCalibration, Grade
 
-POINTS = corner_points(Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025))
+POINTS = corner_points(CHESSBOARD)
 NOISE_PX = 0.02
 
 

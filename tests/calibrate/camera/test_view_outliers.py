@@ -5,15 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_views import board_view, chessboard_views
+from known_views import CHESSBOARD, board_view, chessboard_views
 
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.geometry.board import corner_points
-from ringpose.types.board import Board, BoardView
+from ringpose.types.board import BoardView
 from ringpose.types.calibration import Grade
 
-POINTS = corner_points(Board(kind="chessboard", squares_x=12, squares_y=10, square_m=0.025))
+POINTS = corner_points(CHESSBOARD)
 NOISE_PX = 0.03
 
 

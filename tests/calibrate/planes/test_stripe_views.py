@@ -11,7 +11,7 @@ from composed_ghosts import with_ghost
 from drawn_boards import FOUR
 from known_views import TRUE_CAMERA
 from recorded_shots import make_shot
-from ring_scenes import make_camera
+from ring_scenes import RIGS, make_camera
 
 from ringpose.calibrate.boards.views import find_board
 from ringpose.calibrate.camera.parameters import CameraModel
@@ -26,16 +26,7 @@ from ringpose.types.detection import SubtractedGhost
 from ringpose.types.image import Shot, board_image
 from ringpose.types.options import PlanesMethod
 
-RENDERED = (
-    np.array(
-        [
-            [0.00566835033, 0.984148362139, -0.17725651216],
-            [-0.004363296259, 0.9999874955, 0.002443458521],
-            [-0.007049019511, 0.985054082892, 0.172101031672],
-        ]
-    ),
-    np.array([-0.039535984995, -0.070047993855, -0.039613633901]),
-)
+RENDERED = RIGS["B"].lasers
 """The light planes of the rendered rig B."""
 
 
@@ -48,8 +39,10 @@ def shot_of(path: Path, channel: int | None = None) -> Shot:
 
 def offset_at_half_a_metre_m(found: PlanesCalibration) -> np.ndarray:
     """Distance between estimated and true planes on the line x = 0, z = 0.5."""
-    height = [(d - 0.5 * n[:, 2]) / n[:, 1] for n, d in ((found.planes.normal, found.planes.distance_m), RENDERED)]
-    return height[0] - height[1]
+    first, second = (
+        (planes.distance_m - 0.5 * planes.normal[:, 2]) / planes.normal[:, 1] for planes in (found.planes, RENDERED)
+    )
+    return first - second
 
 
 @pytest.mark.parametrize("ratio", [pytest.param(0.0, marks=pytest.mark.slow), 0.1])
@@ -90,7 +83,7 @@ def rendered(rendered_plane_views):
 def test_rendered_planes_are_where_the_truth_has_them(method, angle_deg, offset_mm, rendered):
     found = rendered[method]
 
-    angles = np.degrees(angle_between(found.planes.normal, RENDERED[0]))
+    angles = np.degrees(angle_between(found.planes.normal, RENDERED.normal))
     assert angles.max() < angle_deg
     assert np.abs(offset_at_half_a_metre_m(found)).max() < 1e-3 * offset_mm
 
@@ -108,8 +101,8 @@ def test_rendered_planes_lie_within_three_reported_sigmas_of_the_truth(rendered)
     found = rendered[PlanesMethod.JOINT]
 
     deviations = np.array(list(found.covariance.standard_deviations.values())).reshape(3, 3)
-    assert np.abs((found.planes.distance_m - RENDERED[1]) / deviations[:, 2]).max() < 3
-    assert (angle_between(found.planes.normal, RENDERED[0]) / np.linalg.norm(deviations[:, :2], axis=1)).max() < 3
+    assert np.abs((found.planes.distance_m - RENDERED.distance_m) / deviations[:, 2]).max() < 3
+    assert (angle_between(found.planes.normal, RENDERED.normal) / np.linalg.norm(deviations[:, :2], axis=1)).max() < 3
 
 
 @pytest.fixture(scope="module")
