@@ -30,16 +30,18 @@ class Seen(NamedTuple):
 
 
 def matrix(vector, place_m) -> np.ndarray:
-    made = np.eye(4)
-    made[:3, :3], made[:3, 3] = Rotation.from_rotvec(vector).as_matrix(), place_m
+    """One, or one for each row."""
+    made = np.zeros((*np.shape(vector)[:-1], 4, 4))
+    made[..., :3, :3], made[..., :3, 3] = Rotation.from_rotvec(vector).as_matrix(), place_m
+    made[..., 3, 3] = 1.0
     return made
 
 
 def waves(rng, size, period_s):
-    """Sums of three sines of unit variance about each axis, as functions of time."""
+    """Sums of three sines of unit variance about each axis, as functions of times."""
     rate = 2 * np.pi / (period_s * rng.uniform(0.7, 1.4, (3, size)))
     phase, part = rng.uniform(0, 2 * np.pi, (3, size)), rng.dirichlet(np.ones(3) * 3, size).T
-    return lambda time_s: (np.sqrt(2 * part) * np.sin(rate * time_s + phase)).sum(axis=0)
+    return lambda times_s: (np.sqrt(2 * part) * np.sin(rate * times_s[:, None, None] + phase)).sum(axis=1)
 
 
 def seen_by_a_moving_robot(
@@ -54,19 +56,17 @@ def seen_by_a_moving_robot(
     board = matrix(rng.normal(0, 1, 3), rng.normal(0, 0.5, 3))
     turn, shift = waves(rng, 3, period_s), waves(rng, 3, period_s)
 
-    def board_in_camera(time_s):
+    def board_in_camera(times_s):
         if still:  # to and fro between whole multiples of every_s, at rest a third of the time at each of them
-            number = np.round(time_s / every_s)
-            share = np.clip(3.0 * (time_s / every_s - number), -1, 1)
-            time_s = every_s * (number + np.sign(share) * 0.5 * max(abs(share) - 0.4, 0.0) / 0.6)
-        turned = Rotation.from_rotvec(turn(time_s) * [0.25, 0.25, 0.4]).as_matrix()
-        middle_m = np.array([0, 0, 0.5]) + shift(time_s) * [0.015, 0.015, 0.05]
-        made = np.eye(4)
-        made[:3, :3], made[:3, 3] = turned, middle_m - turned @ MIDDLE_M
-        return made
+            number = np.round(times_s / every_s)
+            share = np.clip(3.0 * (times_s / every_s - number), -1, 1)
+            times_s = every_s * (number + np.sign(share) * 0.5 * np.maximum(np.abs(share) - 0.4, 0.0) / 0.6)
+        turned = turn(times_s) * [0.25, 0.25, 0.4]
+        middle_m = np.array([0, 0, 0.5]) + shift(times_s) * [0.015, 0.015, 0.05]
+        return matrix(turned, middle_m - Rotation.from_rotvec(turned).apply(MIDDLE_M))
 
-    def base_from_tool(time_s):
-        moving = mount @ board_in_camera(time_s) @ np.linalg.inv(board)
+    def base_from_tool(times_s):
+        moving = mount @ board_in_camera(times_s) @ np.linalg.inv(board)
         return moving if eye_to_hand else np.linalg.inv(moving)
 
     times_s = every_s * (1.0 + np.arange(views))
@@ -76,12 +76,9 @@ def seen_by_a_moving_robot(
     drawn = rng.normal(0, 1, (len(knots_s), 6)) * np.repeat(robot, 3)
     nearness = np.exp(-0.5 * ((sampled_s[:, None] - knots_s) / 0.1) ** 2)
     errors = nearness @ drawn / np.linalg.norm(nearness, axis=1)[:, None]
-    reported = np.array([
-        base_from_tool(time_s) @ matrix(error[:3], error[3:]) for time_s, error in zip(sampled_s, errors, strict=True)
-    ])  # fmt: skip
+    reported = base_from_tool(sampled_s) @ matrix(errors[:, :3], errors[:, 3:])
     made = []
-    for number, time_s in enumerate(times_s.tolist()):
-        pose = board_in_camera(time_s)
+    for number, pose in enumerate(board_in_camera(times_s)):
         pixels = cv2.projectPoints(
             CORNERS_M, cv2.Rodrigues(pose[:3, :3])[0], pose[:3, 3], TRUE_CAMERA.camera_matrix,
             TRUE_CAMERA.distortion_coefficients,
