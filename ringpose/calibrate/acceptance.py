@@ -135,8 +135,12 @@ MOUNT_LIMITS: Mapping[str, Limit] = {
         if_unknown="add views: three leave the held-out error undetermined"),
     "rotation_sd_rad": Limit(radians(0.05), radians(0.5), "{more}"),  # in the worst direction: 0.4 mm at 0.5 m
     "translation_sd_m": Limit(5e-4, 5e-3, "{more}"),
-    "robot_rotation_rad": Limit(radians(0.1), radians(1), "the robot's rotations are inaccurate"),
-    "robot_translation_m": Limit(1e-3, 1e-2, "the robot's positions are inaccurate: calibrate the robot"),
+    "robot_rotation_rad": Limit(radians(0.1), radians(1),
+        "the robot's rotations are inaccurate; or the camera is, whose errors look alike: "
+        "--refine-camera, --whole-rig"),
+    "robot_translation_m": Limit(1e-3, 1e-2,
+        "the robot's positions are inaccurate: calibrate the robot; or the camera is, whose errors look alike: "
+        "--refine-camera, --whole-rig"),
     "disagreement": Limit(3.0, 30.0, "take views that differ more from each other"),
 }
 
