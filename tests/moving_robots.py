@@ -45,7 +45,7 @@ def waves(rng, size, period_s):
 
 
 def seen_by_a_moving_robot(
-    rng, *, views=15, delay_s=0.05, rate_hz=100.0, robot=(3.5e-4, 1e-4), noise_px=0.1, eye_to_hand=False,
+    rng, *, views=10, delay_s=0.05, rate_hz=100.0, robot=(3.5e-4, 1e-4), noise_px=0.1, eye_to_hand=False,
     period_s=4.0, every_s=1.7, still=False,
 ) -> Seen:  # fmt: skip
     """Views every `every_s`, while the board turns and moves before the camera with about this period.

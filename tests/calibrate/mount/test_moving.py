@@ -53,7 +53,7 @@ def errors_of(calibration, seen) -> tuple[np.ndarray, float]:
 @pytest.fixture(scope="module")
 def usual():
     """A session, its calibration, with exposures in which the corners move by a tenth of their residuals."""
-    seen = seen_by_a_moving_robot(np.random.default_rng(5), views=10)
+    seen = seen_by_a_moving_robot(np.random.default_rng(5))
     return seen, calibrated(seen, exposure_s=0.0002)
 
 
@@ -61,7 +61,7 @@ def usual():
     ("eye_to_hand", "rate_hz", "delay_s"), [(False, 10.0, -0.35), (True, 500.0, 0.41)], ids=["in-hand", "to-hand"]
 )
 def test_mount_and_delay_are_as_accurate_as_reported(eye_to_hand, rate_hz, delay_s, rng):
-    seen = seen_by_a_moving_robot(rng, eye_to_hand=eye_to_hand, rate_hz=rate_hz, delay_s=delay_s, views=10)
+    seen = seen_by_a_moving_robot(rng, eye_to_hand=eye_to_hand, rate_hz=rate_hz, delay_s=delay_s)
 
     calibration = calibrated(seen, eye_to_hand)
 
@@ -106,7 +106,7 @@ def test_a_given_mount_is_compared_with_its_delay(usual):
 
 
 def test_a_robot_that_halts_at_each_view_leaves_the_delay_open(rng):
-    seen = seen_by_a_moving_robot(rng, still=True, views=10)
+    seen = seen_by_a_moving_robot(rng, still=True)
 
     calibration = calibrated(seen)
 
@@ -189,7 +189,7 @@ def test_an_exposure_that_is_too_long_for_the_motion_is_flagged(usual):
 def test_motion_at_the_views_is_noticed_where_rest_is_assumed(rng):
     moving, resting = (seen_by_a_moving_robot(rng, delay_s=0.0, rate_hz=50.0, still=still) for still in (False, True))
 
-    assert "the robot moves at 15 of 15 views" in motion_finding(moving.stamps_s, motion_of(moving))
+    assert "the robot moves at 10 of 10 views" in motion_finding(moving.stamps_s, motion_of(moving))
     assert not motion_finding(resting.stamps_s, motion_of(resting))
 
 
