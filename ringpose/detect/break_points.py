@@ -18,8 +18,8 @@ from ringpose.detect.rim import Face
 from ringpose.detect.ring_edges import straight
 from ringpose.detect.stripes import lens
 from ringpose.estimate.explanation import Explanation, decision
+from ringpose.estimate.factors import Prior
 from ringpose.estimate.measurements import Measurements, measurements_of
-from ringpose.estimate.residuals import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
 from ringpose.kernels import _kernels, column_names, kernel_record

@@ -33,8 +33,8 @@ from ringpose.detect.edge_search import (
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.detect.rim import parallel_in_front
 from ringpose.estimate.explanation import decision
+from ringpose.estimate.factors import Prior
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior
 from ringpose.estimate.solver import STRIPES_OF_A_PLANE
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD

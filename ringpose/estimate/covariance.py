@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.estimate.factors import PARAMETERS, RIDGE, Prior, rig_jacobian
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import FACE_SLOPE, FORM_PARAMETERS, rig_errors
-from ringpose.estimate.residuals import PARAMETERS, RIDGE, Estimate, Prior
-from ringpose.estimate.solver import rig_jacobian
+from ringpose.estimate.solver import Estimate
 from ringpose.geometry.ring import (
     CURVATURE,
     HALF_BAND,
@@ -88,8 +88,9 @@ def quantities(estimate: Estimate) -> Quantities:
     The grasp point does not use the centre, so that it stays known where the centre is not.
     """
     arcs, residuals = estimate.arcs, estimate.residuals
-    shown = residuals.ends + np.flatnonzero(residuals.described)
-    rays = residuals.stripes.rays[shown]
+    observations, stripes = residuals.observations, residuals.at.stripes
+    shown, ends = observations.described, observations.view.ends
+    rays = stripes.rays[shown]
     mean_ray, normal = rays.mean(axis=0), arcs.axes[2]
     depth_m = float(arcs.origin @ normal) / float(mean_ray @ normal)
     mean_m = depth_m * mean_ray
@@ -103,7 +104,7 @@ def quantities(estimate: Estimate) -> Quantities:
     depth_wrt_step = np.zeros(PARAMETERS)
     depth_wrt_step[[TILT_INWARD, TILT_ALONG, LIFT]] = -offset[0], -offset[1], 1.0
     mean_wrt_ray = depth_m * (np.eye(3) - np.outer(mean_ray, normal) / float(mean_ray @ normal))
-    y_wrt_step = residuals.stripes.y_wrt_step[shown, :PARAMETERS].mean(axis=0)
+    y_wrt_step = stripes.y_wrt_step[shown, :PARAMETERS].mean(axis=0)
     mean_wrt_step = np.outer(mean_ray, depth_wrt_step / float(mean_ray @ normal)) + np.outer(
         mean_wrt_ray[:, 1], y_wrt_step
     )
@@ -122,12 +123,13 @@ def quantities(estimate: Estimate) -> Quantities:
     jacobian[CURVATURE_OUT, CURVATURE] = 1.0
     jacobian[BAND_OUT, HALF_BAND] = 2.0
     along_wrt_ray = face_direction @ mean_wrt_ray[:, :2]
-    along_wrt_x = np.zeros(len(residuals.described))
-    slope = residuals.stripes.slope[shown]
-    along_wrt_x[residuals.described] = along_wrt_ray @ np.array([np.ones(len(rays)), slope]) / len(rays)
+    along_wrt_x = np.zeros(len(stripes.rays) - ends)
+    wrt_x, wrt_y = residuals.at.edges.wrt_ray[: len(along_wrt_x)].T
+    outwards = np.where(wrt_x + stripes.slope[ends:] * wrt_y < 0.0, -1.0, 1.0)
+    along_wrt_x[shown - ends] = along_wrt_ray @ np.array([np.ones(len(rays)), stripes.slope[shown]]) / len(rays)
     count = len(residuals.rate_sds)  # of the mean of the predicted break points, for a fixed ring: by rates, then rig
     mean_ray_wrt_rates = np.zeros((2, count))
-    y_wrt_rates = residuals.stripes.y_wrt_step[shown, PARAMETERS : PARAMETERS + count]
+    y_wrt_rates = stripes.y_wrt_step[shown, PARAMETERS : PARAMETERS + count]
     mean_ray_wrt_rates[1] = y_wrt_rates.mean(axis=0) * residuals.rate_sds
     return Quantities(
         normal=normal,
@@ -138,7 +140,7 @@ def quantities(estimate: Estimate) -> Quantities:
         outward=outward,
         jacobian=jacobian,
         along=face_direction,
-        along_wrt_points_m=along_wrt_x / (residuals.distance_scale * residuals.distance_wrt_x),
+        along_wrt_points_m=along_wrt_x * outwards * observations.points.sigma_x,
         along_wrt_nuisance_m=along_wrt_ray
         @ np.concatenate([mean_ray_wrt_rates, estimate.fixed.mean_ray_wrt_rig], axis=1),
     )
@@ -161,7 +163,8 @@ def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "1
     covariance: Float64[Array, "15 15"] = found.jacobian @ estimate.inverse @ found.jacobian.T
     residuals, nuisance = estimate.residuals, estimate.nuisance
     along = nuisance[:, : len(found.along_wrt_nuisance_m)] @ found.along_wrt_nuisance_m
-    along[residuals.ends : residuals.ends + len(found.along_wrt_points_m)] += found.along_wrt_points_m
+    ends = residuals.observations.view.ends
+    along[ends : ends + len(found.along_wrt_points_m)] += found.along_wrt_points_m
     weighted = along * estimate.weights
     if nuisance.shape[1]:
         cross_information = nuisance.T @ weighted
@@ -395,7 +398,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence 
     residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
     of_rig = rates + estimate.fixed.mean_ray_wrt_rig.shape[1]
     own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
-    wrt_rig, _ = rig_jacobian(residuals, measured.observations, errors)
+    wrt_rig, _ = rig_jacobian(residuals, errors)
     rows = np.concatenate([residuals.jacobian, own, wrt_rig, -residuals.residual[:, None]], axis=1)
     eliminated = PARAMETERS + own.shape[1]
     prior = np.zeros((eliminated, rows.shape[1]))

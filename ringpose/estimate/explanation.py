@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.estimate.covariance import differing_quantities
+from ringpose.estimate.factors import PARAMETERS, Prior, form_jacobian, ring_residuals
 from ringpose.estimate.hypotheses import (
     MIN_DEVIATION_M,
     WIDER_BY,
@@ -28,16 +29,15 @@ from ringpose.estimate.hypotheses import (
 )
 from ringpose.estimate.measurements import Measurements, inflate_sigma
 from ringpose.estimate.nuisance import FORM_SHARE
-from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior
 from ringpose.estimate.solver import (
+    DECISION_SIGMAS,
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
     STRIPES_OF_A_PLANE,
+    Estimate,
     estimate_ring,
-    form_jacobian,
     initial_guess,
     precise_ring,
-    ring_residuals,
 )
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives
 from ringpose.types.detection import JudgedRing, Rejection
@@ -172,7 +172,7 @@ def explain(
         return best
     estimate: Estimate | None = best.estimate
     if best.estimate.distance_sigmas >= PRECISE_SIGMAS:
-        estimate = precise_ring(best.estimate, best.measured)
+        estimate = precise_ring(best.estimate)
     if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
         best = replace(best, estimate=estimate)
     else:  # the shorter iteration had ended near a saddle point
@@ -199,7 +199,7 @@ def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measuremen
     ring, None if there is none.
     """
     stamp_s, observations = measured.stamp_s, measured.observations
-    arcs = initial_guess(observations, prior)
+    arcs = initial_guess(measured, prior)
     first = float(stamp_s.min(initial=np.inf))
     if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
         return measured, arcs
@@ -367,7 +367,7 @@ def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
     residuals, weights = estimate.residuals, estimate.weights
     form = estimate.fixed.form
     if form is None:
-        form = form_jacobian(residuals, solved.hypothesis.measured.observations)
+        form = form_jacobian(residuals)
     form = FORM_SHARE * deviation_m * form  # by amplitudes in units of s
     weighted = form.T * weights
     cross_information = weighted @ np.concatenate([residuals.jacobian, estimate.nuisance], axis=1)

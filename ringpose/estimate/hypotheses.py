@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.estimate.factors import PARAMETERS, Prior, common_errors, ring_residuals
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.residuals import DECISION_SIGMAS, PARAMETERS, Estimate, Prior
-from ringpose.estimate.solver import STRIPES_OF_A_PLANE, estimate_ring, fixed_columns, nuisance_columns, ring_residuals
+from ringpose.estimate.solver import DECISION_SIGMAS, STRIPES_OF_A_PLANE, Estimate, estimate_ring, nuisance_columns
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
@@ -234,9 +234,8 @@ def _predicted_residuals(
 
     1 + [J B] C [J B]^T, with the joint covariance C of ring and common errors.
     """
-    observations = measured.observations
-    residuals = ring_residuals(estimate.arcs, observations, estimate.prior, estimate.rates)
-    fixed = fixed_columns(residuals, observations, estimate.prior)
+    residuals = ring_residuals(estimate.arcs, measured.observations, estimate.prior, estimate.rates)
+    fixed = common_errors(residuals, estimate.prior)
     jacobian = np.concatenate([residuals.jacobian, nuisance_columns(residuals, fixed)], axis=1)
     step = np.concatenate([np.zeros(PARAMETERS), estimate.nuisance_step])
     covariance = np.linalg.inv(estimate.joint_information)
@@ -265,7 +264,8 @@ def edge_evidence(estimate: Estimate, measured: Measurements) -> float:
     estimate = again
     residuals, points = estimate.residuals, measured.points
     focal = measured.rig.camera.camera_matrix[[0, 1], [0, 1]]
-    count, ends = residuals.stripe_rows, residuals.ends
+    observations = residuals.observations
+    count, ends = int(np.count_nonzero(~observations.many)), observations.view.ends
     rows = np.concatenate([residuals.jacobian, estimate.nuisance], axis=1) * np.sqrt(estimate.weights)[:, None]
     prior = np.eye(rows.shape[1])[PARAMETERS:]
     basis = np.linalg.qr(np.concatenate([rows, prior]))[0][:count]  # the normal equations of one stripe are singular
@@ -274,9 +274,9 @@ def edge_evidence(estimate: Estimate, measured: Measurements) -> float:
     missed = remaining @ np.linalg.solve(free + np.eye(count) / LINEAR_SIGMAS**2, remaining)
 
     # in pixels: ordinates of the line's two ends, abscissae of the break points, ordinates of those without a line
-    of_points = [1.0 / points.sigma_x / focal[0], residuals.ordinates.scale / focal[1]]
+    of_points = [1.0 / points.sigma_x / focal[0], observations.points.ordinate_weights(residuals.at)[1] / focal[1]]
     whitening = np.diag(np.concatenate([np.ones(ends), *of_points]))
-    whitening[:ends, :ends] = measured.observations.whitening / focal[1]
+    whitening[:ends, :ends] = observations.whitening / focal[1]
     position_px, change_px, end_px, _ = BACKGROUND_RANGE_PX
     range_px = np.full(count, position_px)
     range_px[ends : ends + len(points.x)] = end_px

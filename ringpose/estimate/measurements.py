@@ -2,11 +2,6 @@
 
 Normalised coordinates are those of rays (x, y, 1). Stripes run roughly along x: a line is measured by its ordinates, a
 break point by its abscissa.
-
-The errors of neighbouring points of a visible edge are correlated, as they come from what lies beside the edge: the
-foil behind it, a wall, a shadow (ringpose-method(7), section 5). The correlation exp(-distance / length) is represented
-by the first terms of its Karhunen-Loeve series, which are nuisance parameters of the fit (`Edges.common`). What
-correlation remains in the residuals raises the points' standard deviations (`inflate_sigma`).
 """
 
 import math
@@ -15,10 +10,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
 from math import sqrt
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from ringpose.estimate.factors import EdgeFactor, Factor, Index, LineFactor, PointFactor
+from ringpose.estimate.linearization import Observations
+from ringpose.estimate.nuisance import (
+    ERRORS,
+    MAX_SHARE_OF_LENGTH,
+    common_errors_px,
+    integrated_autocorrelation_time,
+)
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort, undistorted_rays
 from ringpose.geometry.ring import RingSamples
@@ -33,34 +36,7 @@ NOMINAL_SIGMA_PX = 0.3
 MIN_SIGMA_PX = 1e-4
 """Lower bound of all standard deviations: smaller ones would make the normal equations ill-conditioned."""
 
-ROUNDED_PX = 0.05
-"""Standard deviation of the common displacement of an edge: half the brightness on a rounded corner."""
-
-CORRELATED_SHARE = 0.4
-"""Share of a point's standard deviation that is correlated with its neighbours; maximum-likelihood estimate from 60
-edges of rendered rings before foil, walls and shadows, which a constant error in pixels explains far worse."""
-
-CORRELATION_LENGTH_PX = 150.0
-"""Correlation length along the edge, estimated from the same edges (100 and 200 are nearly as likely)."""
-
-TERMS = 8
-"""Terms of the series; further ones have less variance than the points' independent errors."""
-
-FRAME_PX = 0.03
-"""Standard deviation of the displacement of an edge in one frame against another, by what shades or passes behind it
-and differs between them; measured on rendered rings with gaps, in the sun, 6 ms apart."""
-
-FRAMES = 2
-"""Number of frames in which the edges of a moving ring are measured."""
-
-ERRORS = 2 * (1 + TERMS + FRAMES)
-"""Number of common errors of a shot: one displacement, the terms of the series and one in each frame, for each edge."""
-
-SHORT_SERIES = 1.5
-"""Factor on the autocorrelation time: a circle fitted to a short series removes part of the correlation."""
-
-MAX_SHARE_OF_LENGTH = 3
-"""Largest lag as a fraction 1 / 3 of the number of points; longer lags have too few pairs."""
+Parts = TypeVar("Parts", "Lines", "Points")
 
 
 class Lines(NamedTuple):
@@ -77,6 +53,30 @@ class Lines(NamedTuple):
     """Mid exposure of the stripe's frame; NaN if unknown."""
     opposite: Bool[Array, "line"]
     """Whether the piece lies on the opposite arc."""
+
+    @property
+    def pieces(self) -> Int64[Array, "line"]:
+        """A number for each piece of a stripe on an arc, the same where it was measured again."""
+        numbers: Int64[Array, "line"] = 2 * self.laser + self.opposite
+        return numbers
+
+    @property
+    def numbers(self) -> int:
+        """Number of measured values; the line of a piece that was measured twice counts once."""
+        return 2 * len(set(self.pieces.tolist()))
+
+    def factor(self) -> LineFactor:
+        """Their factor; the rays of their ends come first."""
+        whitening = np.zeros((2 * len(self.laser), 2 * len(self.laser)))
+        for number, block in enumerate(self.whitening):
+            whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
+        return LineFactor(
+            stamp_s=np.repeat(self.stamp_s, 2),
+            opposite=np.repeat(self.opposite, 2),
+            ray=slice(0, len(whitening)),
+            whitening=whitening,
+            y=self.y.ravel(),
+        )
 
 
 class Points(NamedTuple):
@@ -107,23 +107,35 @@ class Points(NamedTuple):
         numbers: Int64[Array, "point"] = 4 * self.laser + 2 * self.opposite + self.edge
         return numbers
 
+    @property
+    def numbers(self) -> int:
+        """Number of measured values; an end that was measured twice counts once."""
+        return len(set(self.ends.tolist())) + len(set(self.ends[self.isolated].tolist()))
 
-class Observations(NamedTuple):
-    """The measurements with the light planes of their lasers, as one view of the ring."""
+    @property
+    def described(self) -> Bool[Array, "point"]:
+        """Whether the point is on the arc at which the ring is described: the opposite one if nothing else is seen."""
+        return np.ones_like(self.opposite) if self.opposite.all() else ~self.opposite
 
-    measured: "Measurements"
-    view: RingSamples
-    laser: Int64[Array, "sample"]
-    wrt_camera: Float64[Array, "ray xy=2 parameter"]
-    """Derivatives of the rays of samples and visible edge points by the camera's parameters."""
-    whitening: Float64[Array, "end end"]
-    """Block-diagonal, of the lines' ordinates."""
-    isolated: int
-    """Number of the break points without a line."""
-    stripe_numbers: int
-    """Number of distinct numbers of stripes and break points."""
-    described: Bool[Array, "point"]
-    """Whether the point is on the arc at which the ring is described: the opposite one if nothing else is seen."""
+    def factor(self, ends: int) -> PointFactor:
+        """Their factor; their rays come after so many of ends of lines."""
+        isolated, count = np.flatnonzero(self.isolated), len(self.x)
+        row: Index = slice(0, count)
+        ray: Index = slice(ends, ends + count)
+        if len(isolated):
+            row = np.concatenate([np.arange(count), isolated])
+            ray = ends + row
+        return PointFactor(
+            stamp_s=self.stamp_s[row],
+            opposite=self.opposite[row],
+            ray=ray,
+            beside=row,
+            edge=self.edge[row],
+            sigma_x=self.sigma_x,
+            y=self.y,
+            covariance=self.covariance,
+            isolated=isolated,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -143,6 +155,20 @@ class Edges:
     walls: bool = True
     """Whether the edges may be the feet of the ring's walls."""
 
+    def factor(self, ends: int, points: int) -> EdgeFactor:
+        """Their factor; their rays come after so many of ends of lines and of break points."""
+        visible = len(self.edge)
+        return EdgeFactor(
+            stamp_s=self.stamp_s,
+            opposite=np.zeros(visible, dtype=bool),
+            ray=slice(ends + points, ends + points + visible),
+            beside=slice(points, points + visible),
+            edge=self.edge,
+            step=self.step,
+            common=self.common,
+            walls=self.walls,
+        )
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Measurements:
@@ -160,45 +186,57 @@ class Measurements:
     """Whether the shot, of which these may be a part, has times from which a motion can be estimated."""
     camera: CameraMotion | None = None
     """Motion of the camera by the poses of a robot that carries it; None if the camera counts as inertial."""
+    others: tuple[Factor, ...] = ()
+    """Measurements of other kinds."""
 
     @cached_property
     def observations(self) -> Observations:
-        """The view of the ring by ends of lines, break points and visible edge points, and the errors of these."""
-        planes = self.rig.lasers
-        laser = np.concatenate([np.repeat(self.lines.laser, 2), self.points.laser])
-        rays = np.ones((len(laser), 3))
-        ends = 2 * len(self.lines.laser)
-        rays[:ends, 0], rays[:ends, 1] = self.lines.x.ravel(), self.lines.y.ravel()
-        rays[ends:, 0], rays[ends:, 1] = self.points.x, self.points.y
-        whitening = np.zeros((ends, ends))
-        for number, block in enumerate(self.lines.whitening):
-            whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
-        stamp_s = np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, self.edges.stamp_s])
+        """The factors of the shot, and the view of the ring by ends of lines, break points and visible edge points."""
+        lines, points, edges, planes = self.lines, self.points, self.edges, self.rig.lasers
+        laser = np.concatenate([np.repeat(lines.laser, 2), points.laser])
+        ends, samples = 2 * len(lines.laser), len(laser)
+        rays = np.ones((samples, 3))
+        rays[:ends, 0], rays[:ends, 1] = lines.x.ravel(), lines.y.ravel()
+        rays[ends:, 0], rays[ends:, 1] = points.x, points.y
+        stamp_s = np.concatenate([np.repeat(lines.stamp_s, 2), points.stamp_s, edges.stamp_s])
         instant_s, instant = np.unique(self.times_s(stamp_s), return_inverse=True)
         view = RingSamples(
             rays=rays,
             light_normal=planes.normal[laser],
             light_distance_m=planes.distance_m[laser],
             ends=ends,
-            visible_rays=self.edges.ray,
-            visible_step=self.edges.step,
-            edge_sign=2.0 * np.concatenate([self.points.edge, self.edges.edge]) - 1.0,
+            visible_rays=edges.ray,
+            visible_step=edges.step,
+            edge_sign=2.0 * np.concatenate([points.edge, edges.edge]) - 1.0,
             instant_s=instant_s,
             instant=instant,
             camera=None if self.camera is None else self.camera.displacements(self.reference_s, instant_s),
         )
-        of_lines = self.lines.wrt_camera
-        of_rays = of_lines.reshape(ends, *of_lines.shape[2:]), self.points.wrt_camera, self.edges.wrt_camera
-        opposite = self.points.opposite
+        of_lines, of_points = lines.factor(), points.factor(ends)
+        factors: list[Factor] = [of_lines, of_points, *self.others, edges.factor(ends, len(points.x))]
+        blocks, count = [], 0
+        for factor in factors:
+            if rows := len(factor.stamp_s):
+                blocks.append((factor, slice(count, count + rows)))
+                count += rows
+        robust, many = np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+        for factor, block in blocks:
+            robust[block], many[block] = factor.robust, factor.many
+        of_rays = lines.wrt_camera.reshape(ends, *lines.wrt_camera.shape[2:]), points.wrt_camera, edges.wrt_camera
         return Observations(
-            measured=self,
+            blocks=tuple(blocks),
             view=view,
+            rig=self.rig,
+            moving=self.moving,
             laser=laser,
+            whitening=of_lines.whitening,
+            points=of_points,
+            described=ends + np.flatnonzero(points.described),
             wrt_camera=np.concatenate(of_rays),
-            whitening=whitening,
-            isolated=int(np.count_nonzero(self.points.isolated)),
-            stripe_numbers=self.stripe_numbers,
-            described=np.ones_like(opposite) if opposite.all() else ~opposite,
+            camera=self.camera,
+            robust=robust,
+            many=many,
+            numbers=self.stripe_numbers + sum(len(each.stamp_s) for each in self.others if not each.many),
         )
 
     @cached_property
@@ -219,30 +257,18 @@ class Measurements:
 
     @cached_property
     def stamp_s(self) -> Float64[Array, "row"]:
-        """Mid exposure of the frame that each residual of `ringpose.estimate.residuals` comes from; NaN if unknown."""
-        isolated = self.points.stamp_s[self.points.isolated]
-        return np.concatenate([np.repeat(self.lines.stamp_s, 2), self.points.stamp_s, isolated, self.edges.stamp_s])
+        """Mid exposure of the frame that each row of the factors comes from; NaN if unknown."""
+        return np.concatenate([factor.stamp_s for factor, _ in self.observations.blocks])
 
     @cached_property
     def of_first_arc(self) -> Bool[Array, "row"]:
-        """Whether each residual of `ringpose.estimate.residuals` is not of the opposite arc."""
-        points = self.points.opposite
-        lines, edges = np.repeat(self.lines.opposite, 2), np.zeros(len(self.edges.edge), dtype=bool)
-        return ~np.concatenate([lines, points, points[self.points.isolated], edges])
-
-    @cached_property
-    def stripe_numbers(self) -> int:
-        """Number of measured values of stripes and break points; a value that was measured twice counts once."""
-        ends = self.points.ends
-        distinct = len(set(ends.tolist())) + len(set(ends[self.points.isolated].tolist()))
-        of_arc = [set(self.lines.laser[self.lines.opposite == arc].tolist()) for arc in (False, True)]
-        return 2 * (len(self.stripes) + len(of_arc[0] & of_arc[1])) + distinct
+        """Whether each row of the factors is not of the opposite arc."""
+        return ~np.concatenate([factor.opposite for factor, _ in self.observations.blocks])
 
     @property
-    def pieces(self) -> Int64[Array, "line"]:
-        """A number for each piece of a stripe on an arc, the same where it was measured again."""
-        numbers: Int64[Array, "line"] = 2 * self.lines.laser + self.lines.opposite
-        return numbers
+    def stripe_numbers(self) -> int:
+        """Number of measured values of stripes and break points; a value that was measured twice counts once."""
+        return self.lines.numbers + self.points.numbers
 
     @cached_property
     def stripes(self) -> list[int]:
@@ -252,7 +278,7 @@ class Measurements:
     def once(self) -> "Measurements":
         """The measurements with each stripe and break point once; repeated measurements in later frames are dropped."""
         first = np.unique(self.points.ends, return_index=True)[1]
-        return self._selected(np.unique(self.pieces, return_index=True)[1], first)
+        return self._selected(np.unique(self.lines.pieces, return_index=True)[1], first)
 
     def of_one_arc(self) -> "Measurements":
         """The measurements without those on the opposite arc."""
@@ -314,9 +340,9 @@ def measurements_of(
         has_covariances = has_covariances and have_covariances
     if break_points.opposite is not None:
         lines_beyond = _lines(break_points.opposite, rig.camera, opposite=True)
-        every_line = Lines(*map(np.concatenate, zip(lines, lines_beyond, strict=True)))
+        every_line = joined(lines, lines_beyond)
         points_beyond, have_covariances = _points(break_points.opposite, every_line, rig.camera, opposite=True)
-        lines, points = every_line, Points(*map(np.concatenate, zip(points, points_beyond, strict=True)))
+        lines, points = every_line, joined(points, points_beyond)
         has_covariances = has_covariances and have_covariances
     stamps, edges = np.concatenate([lines.stamp_s, points.stamp_s]), _edges(ring_edges, rig.camera)
     reference_s = float(stamps.mean()) if len(stamps) else math.nan
@@ -393,18 +419,22 @@ similar, so that two measurements determine the ring no better than one. Only th
 
 
 def _repeated_lines(first: Lines, again: Lines) -> Lines:
-    joined = Lines(*map(np.concatenate, zip(first, again, strict=True)))
-    twice = np.isin(joined.laser, first.laser) & np.isin(joined.laser, again.laser)
-    return joined._replace(whitening=joined.whitening / np.sqrt(np.where(twice, REPEATED, 1.0))[:, None, None])
+    every = joined(first, again)
+    twice = np.isin(every.laser, first.laser) & np.isin(every.laser, again.laser)
+    return every._replace(whitening=every.whitening / np.sqrt(np.where(twice, REPEATED, 1.0))[:, None, None])
 
 
 def _repeated_points(first: Points, again: Points) -> Points:
-    joined = Points(*map(np.concatenate, zip(first, again, strict=True)))
-    of_first, of_again, of_joined = (each.ends for each in (first, again, joined))
-    variances = np.where(np.isin(of_joined, of_first) & np.isin(of_joined, of_again), REPEATED, 1.0)
-    return joined._replace(
-        covariance=joined.covariance * variances[:, None, None], sigma_x=joined.sigma_x * np.sqrt(variances)
+    every = joined(first, again)
+    variances = np.where(np.isin(every.ends, first.ends) & np.isin(every.ends, again.ends), REPEATED, 1.0)
+    return every._replace(
+        covariance=every.covariance * variances[:, None, None], sigma_x=every.sigma_x * np.sqrt(variances)
     )
+
+
+def joined(first: Parts, second: Parts) -> Parts:
+    """The lines, or the break points, of both."""
+    return type(first)._make(map(np.concatenate, zip(first, second, strict=True)))
 
 
 def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]:
@@ -463,55 +493,6 @@ def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
     )
 
 
-def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
-    """Displacement of each point along its normal by common errors of unit variance; 0 for errors of the other edge."""
-    errors = np.zeros((len(edges.edge), 2, ERRORS // 2))
-    frame = np.zeros(len(edges.edge), dtype=np.int64)
-    if edges.stamp_s is not None:
-        frame = np.minimum(np.unique(edges.stamp_s, return_inverse=True)[1], FRAMES - 1)
-    for edge in (0, 1):
-        members = np.flatnonzero(edges.edge == edge)
-        if len(members):
-            errors[members, edge, 0] = ROUNDED_PX
-            along_px = _along_px(edges.position_px[members], edges.normal[members])
-            if frame.any():
-                errors[members, edge, 1 + TERMS + frame[members]] = FRAME_PX
-            errors[members, edge, 1 : 1 + TERMS] = (
-                CORRELATED_SHARE * edges.sigma_px[members, None] * karhunen_loeve_terms(along_px)
-            )
-    return errors.reshape(len(errors), ERRORS)
-
-
-def karhunen_loeve_terms(along_px: Float64[Array, "n"]) -> Float64[Array, "n term"]:
-    """Square root of the covariance exp(-distance / `CORRELATION_LENGTH_PX`): its largest eigenfunctions.
-
-    sqrt(variance) cos(phase t) and sin(phase t) in turn, t from -1 to 1 along the edge (Ghanem and Spanos 1991, 2.3).
-    """
-    first, last = float(along_px.min()), float(along_px.max())
-    half_px = max(0.5 * (last - first), 1.0)
-    lengths = half_px / CORRELATION_LENGTH_PX
-    # phase p of each term at the end of the edge: p = k pi/2 + atan(lengths / p), by Newton's method from above
-    quarter = 0.5 * np.pi * np.arange(TERMS)
-    phase: Float64[Array, "term"] = np.maximum(quarter, math.sqrt(lengths / (1.0 + lengths)))
-    for _ in range(6):
-        error = phase - quarter - np.arctan(lengths / phase)
-        phase = phase - error / (1.0 + lengths / (phase**2 + lengths**2))
-    sign = np.where(np.arange(TERMS) % 2, -1.0, 1.0)
-    amplitude = np.sqrt(2.0 * lengths / (lengths**2 + phase**2))
-    amplitude /= np.sqrt(1.0 + sign * np.sin(2.0 * phase) / (2.0 * phase))
-    angle = ((along_px - 0.5 * (first + last)) / half_px)[:, None] * phase
-    terms: Float64[Array, "n term"] = amplitude * np.where(sign > 0, np.cos(angle), np.sin(angle))
-    return terms
-
-
-def _along_px(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
-    """Positions along the edge: perpendicular to the mean normal of its points."""
-    normal_x, normal_y = normal.sum(axis=0)
-    length = math.hypot(normal_x, normal_y) or 1.0
-    along_px: Float64[Array, "n"] = (position_px[:, 1] * normal_x - position_px[:, 0] * normal_y) / length
-    return along_px
-
-
 def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
     """The edges with standard deviations raised by the root of their integrated autocorrelation time in each frame.
 
@@ -526,19 +507,3 @@ def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
             direction = np.linalg.svd(along, full_matrices=False)[2][0]
             factor[members] = np.sqrt(integrated_autocorrelation_time(residual[members][np.argsort(along @ direction)]))
     return replace(edges, step=edges.step * factor[:, None], common=edges.common / factor[:, None])
-
-
-def integrated_autocorrelation_time(series: Float64[Array, "n"]) -> float:
-    """Variance of the mean of a series, relative to that of as many independent standard normal numbers; at least 1.
-
-    It is the variance plus twice the autocovariances up to the first one that is not positive (Geyer's initial
-    sequence).
-    """
-    clipped = np.clip(series, -3.0, 3.0)
-    variance = total = float(clipped @ clipped) / len(clipped)
-    for lag in range(1, len(clipped) // MAX_SHARE_OF_LENGTH):
-        autocovariance = float(clipped[lag:] @ clipped[:-lag]) / len(clipped)
-        if autocovariance <= 0:
-            break
-        total += 2.0 * autocovariance
-    return max(1.0, SHORT_SERIES * total if total > variance else variance)

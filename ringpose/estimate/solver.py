@@ -1,57 +1,48 @@
 """Maximum-likelihood ring by Gauss-Newton (ringpose-method(7), section 5).
 
-The residuals are evaluated here, in the order of `ringpose.estimate.residuals`. Huber weights bring the iteration near
-the solution; from there on visible edge points count fully or not at all, and break points fully: outliers among them
-are judged by `ringpose.estimate.explanation`.
+The residuals and their derivatives are those of `ringpose.estimate.factors`, of which the iteration needs no more than
+the rows. Huber weights bring it near the solution; from there on rows of which there are many count fully or not at
+all, and the others fully: outliers among them are judged by `ringpose.estimate.explanation`.
 """
 
-from functools import partial
+from dataclasses import dataclass
+from functools import cached_property, partial
 from math import inf, isfinite, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.measurements import Measurements, Observations
-from ringpose.estimate.nuisance import FORM_ORDERS, FORM_PARAMETERS, FORM_SHARE, RigErrors, covariance_root, rig_errors
-from ringpose.estimate.residuals import (
-    CURVATURE_SD,
-    DECISION_SIGMAS,
+from ringpose.estimate.factors import (
     EXPECTED_CURVATURE,
     EXPECTED_HALF_BAND_M,
-    HALF_BAND_SD_M,
-    NO_ORDINATES,
+    HOPELESS,
     PARAMETERS,
+    RIDGE,
     RIDGE_MATRIX,
     STILL,
-    TILT_SD_RAD,
-    TURN_SD_RAD,
-    Estimate,
-    FixedColumns,
     Prior,
-    Residuals,
-    ordinate_scale,
+    common_errors,
+    linearize,
+    poorly_determined,
+    retract_ring,
+    ring_residuals,
 )
+from ringpose.estimate.linearization import FixedColumns, Observations, Residuals
+from ringpose.estimate.measurements import Measurements, Points
 from ringpose.geometry.ring import (
     CURVATURE,
-    EDGE_SIGN,
     GENERATORS,
-    HALF_BAND,
-    LIFT,
-    MIN_RATE,
-    TILT_ALONG,
-    TILT_INWARD,
     TINY,
-    TURN,
-    EdgeDistances,
     MovingRing,
     Rates,
     RingArcs,
-    edge_distances,
-    polar_angles,
-    predicted_view,
 )
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import JudgedRing
-from ringpose.types.plausible import RING_RADIUS_M
+
+DECISION_SIGMAS = 0.01
+"""Estimated distance from the optimum, in standard deviations, from which explanations are compared: their chi-squared
+is then known to 1e-4."""
 
 HUBER_SIGMAS = 3.0
 """Residual of a break point or visible edge point from which it counts linearly while the iteration approaches."""
@@ -71,20 +62,109 @@ PRECISE_SIGMAS = 5e-9
 """Estimated distance from the optimum, in standard deviations, at which the iteration of a pose ends: the measurement
 of a record and its priors give it to a nanometre."""
 
-HOPELESS = 1e4
-"""Factor on the limits of `poorly_determined` beyond which an iteration that starts without weak priors ends."""
-
 STRIPES_OF_A_PLANE = 2
 """With fewer stripes the tilt about the stripe is determined by the edges only."""
 
-MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
-"""Bounds of the plane's distance; beyond them the iteration has diverged."""
 
-MAX_CURVATURE = 1 / RING_RADIUS_M.lowest
-"""Bound in 1/m, of the smallest ring that a file may state; beyond it the iteration has diverged."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """A maximum-likelihood ring, and the linearised problem at the solution."""
 
-MAX_TILT_RAD = 0.7
-"""Largest tilt in one iteration."""
+    residuals: Residuals
+    arcs: RingArcs
+    """The ring at the reference time of the measurements."""
+    rates: Rates
+    """Motion of the ring."""
+    weights: Float64[Array, "row"]
+    """1 for a residual that was used, 0 for a rejected edge point."""
+    fixed: FixedColumns
+    nuisance: Float64[Array, "row error"]
+    """Derivatives of the residuals by common errors of unit variance: rates, rig, form of the ring, visible edges."""
+    nuisance_step: Float64[Array, "error"]
+    """The estimated common errors, in their standard deviations; 0 for the rates, which the residuals contain."""
+    normal_matrix: Float64[Array, "7 7"]
+    """Inverse covariance of the ring's step, the common errors marginalised."""
+    inverse: Float64[Array, "7 7"]
+    """Inverse of the normal matrix with `RIDGE`."""
+    prior: Prior
+    """The prior that was used; with weak priors (`regularize_about`) if the shot leaves parameters open."""
+    remaining: Float64[Array, "row"]
+    """Residuals at the estimated ring less those that the estimated rig and edge errors explain, in sigmas ..."""
+    edge_residuals: Float64[Array, "visible"]
+    """... and those of the visible edge points among them."""
+    chi2: float
+    """Chi-squared of stripes, break points and priors; visible edges are too many to be compared with these."""
+    numbers: int
+    """Number of values of stripes, break points and radii; rows of weak priors count like measurements."""
+    degrees_of_freedom: int
+    """Degrees of freedom of the stripes alone: that number less the number of parameters, at least 0."""
+    distance_sigmas: float
+    """Estimated distance from the optimum at the end of the iteration, in standard deviations."""
+    converged: bool
+    """Whether the iteration came near the optimum before it reached its limit."""
+    determined: bool
+    """Whether no parameter is so open that a weak prior has to hold it (`poorly_determined`)."""
+
+    @cached_property
+    def joint_information(self) -> Float64[Array, "n n"]:
+        """Information on the ring's step and the common errors, with their priors and the ridge."""
+        jacobian = np.concatenate([self.residuals.jacobian, self.nuisance], axis=1)
+        information: Float64[Array, "n n"] = (jacobian.T * self.weights) @ jacobian
+        diagonal = np.ones(len(information))
+        diagonal[:PARAMETERS] = RIDGE
+        information[range(len(information)), range(len(information))] += diagonal
+        return information
+
+    @cached_property
+    def expected_chi2(self) -> float:
+        """Expectation of chi-squared, to which the degrees of freedom of a test of it correspond.
+
+        The expectation is the number of terms less their leverages. Without visible edges the leverages add up to the
+        number of parameters; with visible edges to less, as the edges determine a part of the parameters.
+        """
+        residuals, many = self.residuals, np.flatnonzero(self.residuals.observations.many)
+        if not len(many):
+            return float(self.degrees_of_freedom)
+        counted = np.delete(np.arange(len(residuals.residual)), many)
+        covariance = np.linalg.inv(self.joint_information)
+        rows = np.concatenate([residuals.jacobian, self.nuisance], axis=1)[counted]
+        common = len(covariance) - PARAMETERS - self.fixed.edge_errors
+        of_common = covariance.diagonal()[PARAMETERS : PARAMETERS + common].sum()
+        leverages = float(((rows @ covariance) * rows).sum()) + float(of_common)
+        return max(self.numbers + common - leverages, 0.0)
+
+    @property
+    def log_determinant(self) -> float:
+        """Log determinant of the information on ring and common errors: how much the data narrow their priors."""
+        return float(np.linalg.slogdet(self.joint_information)[1])
+
+    @property
+    def largest_reduction(self) -> float:
+        """Largest decrease of chi-squared by leaving out one row of a stripe or break point.
+
+        r^2 / (1 - h), with the leverage h = a M^-1 a^T of its row a in the joint problem of ring and common errors.
+        """
+        few = np.flatnonzero(~self.residuals.observations.many)
+        rows = np.concatenate([self.residuals.jacobian, self.nuisance], axis=1)[few]
+        leverage = (np.linalg.solve(self.joint_information, rows.T) * rows.T).sum(axis=0)
+        free = leverage < 1.0 - 1e-3  # a number that determines a parameter alone contradicts nothing
+        return float((self.remaining[few][free] ** 2 / (1.0 - leverage[free])).max(initial=0.0))
+
+    @cached_property
+    def curvature_alone(self) -> tuple[float, float]:
+        """The curvature by the shot alone, without the prior, and its standard deviation.
+
+        It follows from the normal equations without the rows of the prior, whose gradient balances that of the data.
+        """
+        prior = self.residuals.jacobian[self.residuals.data_rows :]
+        information = self.normal_matrix - prior.T @ prior + RIDGE_MATRIX
+        try:
+            covariance = np.linalg.inv(information)
+        except np.linalg.LinAlgError:
+            return 0.0, inf
+        step = covariance @ (prior.T @ self.residuals.residual[self.residuals.data_rows :])
+        variance = float(covariance[CURVATURE, CURVATURE])
+        return self.arcs.curvature + float(step[CURVATURE]), sqrt(variance) if variance > 0 else inf
 
 
 def estimate_ring(
@@ -109,11 +189,11 @@ def estimate_ring(
     with np.errstate(all="ignore"):  # a diverging iteration ends in `retract_ring`
         if isinstance(start, JudgedRing):
             estimate = solve(_moving_ring(start, measured.reference_s), prior, tolerance_sigmas)
-            if estimate is not None and not poorly_determined(estimate.inverse):
+            if estimate is not None and estimate.determined:
                 return estimate
             start = None
         if guess is None and start is None:
-            guess = initial_guess(observations, prior)
+            guess = initial_guess(measured, prior)
         first: RingArcs | Estimate | None = guess if start is None else start
         edges_needed = start is None and len(measured.edges.edge) and len(measured.stripes) < STRIPES_OF_A_PLANE
         if guess is not None and edges_needed:
@@ -122,8 +202,8 @@ def estimate_ring(
         if first is None:
             return None
         estimate = solve(first, prior, tolerance_sigmas)
-        if estimate is None or poorly_determined(estimate.inverse):
-            guess = initial_guess(observations, prior) if guess is None else guess
+        if estimate is None or not estimate.determined:
+            guess = initial_guess(measured, prior) if guess is None else guess
             about = first.arcs if guess is None and isinstance(first, Estimate) else guess
             estimate = solve(first, prior._replace(regularize_about=about), tolerance_sigmas)
         # one edge without a line on the face beside it leaves open on which side the centre is: try the other one
@@ -146,143 +226,25 @@ def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
 def _solved(
     observations: Observations, start: RingArcs | MovingRing | Estimate, prior: Prior, tolerance_sigmas: float
 ) -> Estimate | None:
-    """The ring by an iteration from `start`; None if that diverges."""
+    """The ring by an iteration from `start`; None if that diverges, or is useless without weak priors."""
+    errors = start.nuisance_step if isinstance(start, Estimate) else None
+    ring = start if isinstance(start, RingArcs) else MovingRing(start.arcs, start.rates)
+    hopeless = HOPELESS if prior.regularize_about is None else inf
     try:
-        return _gauss_newton(_linearize(start, observations, prior), observations, prior, tolerance_sigmas)
+        end = gauss_newton(ring, observations, prior, tolerance_sigmas, errors=errors, hopeless=hopeless)
+        return _estimate(end, ring_residuals(end.arcs, observations, prior, end.rates))
     except np.linalg.LinAlgError:
         return None
 
 
-def precise_ring(estimate: Estimate, measured: Measurements) -> Estimate | None:
+def precise_ring(estimate: Estimate) -> Estimate | None:
     """The estimate, iterated further to the precision of a pose; None if the iteration diverges."""
-    observations, residuals = measured.observations, estimate.residuals
+    observations, prior, errors = estimate.residuals.observations, estimate.prior, estimate.nuisance_step
     try:
-        fixed = fixed_columns(residuals, observations, estimate.prior)
-        return _gauss_newton((residuals, fixed, estimate.remaining), observations, estimate.prior, PRECISE_SIGMAS)
+        end = gauss_newton(MovingRing(estimate.arcs, estimate.rates), observations, prior, errors=errors)
+        return _estimate(end, ring_residuals(end.arcs, observations, prior, end.rates))
     except np.linalg.LinAlgError:
         return None
-
-
-def _gauss_newton(
-    linearized: tuple[Residuals, FixedColumns | None, Float64[Array, "row"]],
-    observations: Observations,
-    prior: Prior,
-    tolerance_sigmas: float,
-) -> Estimate:
-    """Iteratively reweighted Gauss-Newton from `_linearize`; LinAlgError if it diverges.
-
-    Derivatives with respect to common errors, if not given, are evaluated after the first step; they hardly change
-    later.
-    """
-    residuals, fixed, predicted = linearized
-    nuisance, count, robust, steps = nuisance_columns(residuals, fixed), len(residuals.rate_sds), None, _Steps()
-    for iteration in range(MAX_ITERATIONS):
-        if iteration == 1 and fixed is None:
-            fixed = fixed_columns(residuals, observations, prior)
-            nuisance = nuisance_columns(residuals, fixed)
-        # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
-        if robust is None:
-            weights = _robust_weights(predicted, residuals)
-        normal_matrix, step, nuisance_step = solve_normal_equations(residuals, weights, nuisance)
-        predicted = residuals.residual + residuals.jacobian @ step + nuisance @ nuisance_step
-        factor = steps.factor(step, normal_matrix, extrapolate=robust is not None)
-        arcs, rates = retract_ring(residuals, factor * step, factor * nuisance_step[:count])
-        residuals = ring_residuals(arcs, observations, prior, rates)
-        nuisance = nuisance_columns(residuals, fixed)
-        if robust is None and fixed is not None and steps.sigmas < NEAR_SIGMAS:
-            robust, weights = weights, _inlier_weights(predicted, residuals)
-            if not np.array_equal(weights, robust):
-                continue
-        if robust is not None and steps.distance_sigmas < tolerance_sigmas:
-            break
-    assert fixed is not None
-    nuisance_step[:count] = 0.0
-    remaining = residuals.residual + nuisance @ nuisance_step
-    squares = np.minimum(remaining**2, 1e6)
-    squares[residuals.stripe_rows : residuals.data_rows] = 0.0
-    numbers = observations.stripe_numbers + len(remaining) - residuals.data_rows
-    common = np.concatenate([nuisance_step[: len(nuisance_step) - fixed.edge_errors], residuals.rate_deviations])
-    return Estimate(
-        residuals=residuals,
-        arcs=residuals.arcs,
-        rates=residuals.rates,
-        weights=weights,
-        fixed=fixed,
-        nuisance=nuisance,
-        nuisance_step=nuisance_step,
-        normal_matrix=normal_matrix,
-        inverse=_inverse(normal_matrix),
-        prior=prior,
-        remaining=remaining,
-        chi2=float(squares.sum()) + float(common @ common),
-        numbers=numbers,
-        degrees_of_freedom=max(numbers - PARAMETERS, 0),
-        distance_sigmas=steps.distance_sigmas,
-        converged=steps.distance_sigmas < DECISION_SIGMAS,
-        edge_residuals=remaining[residuals.stripe_rows : residuals.data_rows],
-    )
-
-
-def _linearize(
-    start: RingArcs | MovingRing | Estimate, observations: Observations, prior: Prior
-) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
-    """The residuals at `start`, the fixed columns (None for a mere guess), and the residuals after common errors.
-
-    If `start` is an estimate, the part of the residuals that its common errors explain is subtracted in the third
-    result. LinAlgError if parameters are so far from being determined that the iteration is useless without weak
-    priors.
-    """
-    fixed: FixedColumns | None = None
-    if isinstance(start, RingArcs):
-        residuals = ring_residuals(start, observations, prior)
-    else:
-        residuals = ring_residuals(start.arcs, observations, prior, start.rates)
-        fixed = fixed_columns(residuals, observations, prior)
-    predicted = residuals.residual
-    if isinstance(start, Estimate) and fixed is not None:
-        nuisance = nuisance_columns(residuals, fixed)
-        if nuisance.shape[1] == len(start.nuisance_step):
-            predicted = residuals.residual + nuisance @ start.nuisance_step
-    if prior.regularize_about is None:
-        inverse = np.linalg.inv(residuals.jacobian.T @ residuals.jacobian + RIDGE_MATRIX)
-        if poorly_determined(inverse, HOPELESS):
-            raise np.linalg.LinAlgError("parameters are not determined")
-    return residuals, fixed, predicted
-
-
-class _Steps:
-    """Convergence of an iteration; all lengths are Mahalanobis lengths."""
-
-    def __init__(self) -> None:
-        self.sigmas = self.distance_sigmas = inf
-        """Length of the last step, and estimated distance from the optimum after it."""
-        self._last: Float64[Array, "7"] | None = None
-        self._ratio = 0.0
-
-    def factor(self, step: Float64[Array, "7"], normal_matrix: Float64[Array, "7 7"], *, extrapolate: bool) -> float:
-        """The factor by which a step is multiplied.
-
-        Near the solution each step is the same multiple q of the previous one, because second derivatives are
-        neglected: the sum of this step and all following ones is step / (1 - q) (Aitken's method).
-        """
-        sigmas, last_sigmas = sqrt(max(float(step @ normal_matrix @ step), 0.0)), self.sigmas
-        # after a long step, or one that was extrapolated, a step is shorter than the next ones show
-        shrinkage = sigmas / max(last_sigmas, TINY) if isfinite(last_sigmas) else 1.0
-        self.sigmas, self.distance_sigmas = sigmas, sigmas * min(max(shrinkage, self._ratio, MIN_RATIO), 1.0)
-        last, self._last, self._ratio = self._last, step, 0.0
-        if last is None or not extrapolate or not 0.0 < sigmas < MAX_EXTRAPOLATED * last_sigmas:
-            return 1.0
-        ratio = float(last @ normal_matrix @ step) / max(last_sigmas**2, TINY)
-        if not abs(ratio) < MAX_EXTRAPOLATED:
-            return 1.0
-        self._last, self._ratio = None, abs(ratio)
-        return 1.0 / (1.0 - ratio)
-
-
-def nuisance_columns(residuals: Residuals, fixed: FixedColumns | None) -> Float64[Array, "row error"]:
-    """Matrix B: derivatives with respect to the rates, then the other common errors, in sigmas of their priors."""
-    wrt_rates = residuals.wrt_rates * residuals.rate_sds
-    return wrt_rates if fixed is None else np.concatenate([wrt_rates, fixed.columns], axis=1)
 
 
 def refine_ring(
@@ -293,22 +255,139 @@ def refine_ring(
     For the edge search: many visible edge points may be outliers, so that these have the redescending weights of Geman
     and McClure's loss (Statistical Methods for Tomographic Image Reconstruction, 1987), (1 + (r / s)^2)^-2.
     """
-    observations = measured.observations
-    rates, fixed, normal_matrix = STILL, None, np.zeros((PARAMETERS, PARAMETERS))
+    start, observations = MovingRing(arcs, STILL), measured.observations
     try:
-        for _ in range(iterations):
-            residuals = ring_residuals(arcs, observations, prior, rates)
-            fixed = fixed_columns(residuals, observations, prior) if fixed is None else fixed
-            robust = slice(residuals.ends, residuals.data_rows)
-            weights = np.ones(len(residuals.residual))
-            weights[robust] = (1.0 + (residuals.residual[robust] / HUBER_SIGMAS) ** 2) ** -2
-            normal_matrix, step, nuisance_step = solve_normal_equations(
-                residuals, weights, nuisance_columns(residuals, fixed)
-            )
-            arcs, rates = retract_ring(residuals, step, nuisance_step[: len(residuals.rate_sds)])
-        return arcs, _inverse(normal_matrix)
+        end = gauss_newton(start, observations, prior, 0.0, iterations=iterations, redescending=True)
+        return end.arcs, _inverse(end.normal_matrix)
     except np.linalg.LinAlgError:
         return None
+
+
+class Iterated(NamedTuple):
+    """The ring after an iteration, and what is left of the last linearised problem."""
+
+    arcs: RingArcs
+    rates: Rates
+    prior: Prior
+    fixed: FixedColumns
+    weights: Float64[Array, "row"]
+    normal_matrix: Float64[Array, "7 7"]
+    nuisance_step: Float64[Array, "error"]
+    distance_sigmas: float
+    """Estimated distance from the optimum, in standard deviations."""
+
+
+def gauss_newton(
+    start: RingArcs | MovingRing,
+    observations: Observations,
+    prior: Prior,
+    tolerance_sigmas: float = PRECISE_SIGMAS,
+    *,
+    errors: Float64[Array, "error"] | None = None,
+    hopeless: float = inf,
+    iterations: int | None = None,
+    redescending: bool = False,
+) -> Iterated:
+    """Iteratively reweighted Gauss-Newton; LinAlgError if it diverges.
+
+    Derivatives by common errors are evaluated at a `MovingRing`, which is near the solution, or else after the first
+    step; they hardly change later. `errors` are common errors that are known from an estimate nearby: the first weights
+    follow from the residuals that are left. `hopeless` multiplies the limits of `poorly_determined` from which a start
+    is given up. With `redescending` weights, which follow from the residuals themselves, all iterations are made.
+
+    Common errors q of unit variance, with the derivatives B, are eliminated: the Schur complement of the normal
+    equations [J B]^T W [J B] + diag(0, 1) is S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, and
+    S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 (B^T W r + q)), Eq. (5.9). The residuals contain the common errors q
+    that are estimated already, the rates, which come first; the others are 0 there.
+
+    Near the solution each step is the same multiple of the previous one, because second derivatives are neglected: the
+    sum of a step and all following ones is step / (1 - ratio) (Aitken's method).
+    """
+    residuals, fixed, predicted = linearize(start, observations, prior, errors, hopeless)
+    robust, many = np.flatnonzero(observations.robust), np.flatnonzero(observations.many)
+    own, weights, near = 1 + PARAMETERS, np.ones(len(predicted)), False
+    arcs, rates = residuals.arcs, residuals.rates
+    sigmas, last_step, last_ratio = inf, np.zeros(PARAMETERS), 0.0
+    for iteration in range(MAX_ITERATIONS if iterations is None else iterations):
+        if iteration:
+            residuals = ring_residuals(arcs, observations, prior, rates)
+            fixed = common_errors(residuals, prior) if fixed is None else fixed
+        # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
+        if redescending:
+            weights[robust] = (1.0 + (residuals.residual[robust] / HUBER_SIGMAS) ** 2) ** -2
+        elif not near:
+            weights[robust] = HUBER_SIGMAS / np.maximum(np.abs(predicted[robust]), HUBER_SIGMAS)
+
+        common = [residuals.wrt_rates * residuals.rate_sds, *([] if fixed is None else [fixed.columns])]
+        columns = np.concatenate([residuals.system, *common], axis=1)  # [r J B]
+        products = (columns.T * weights) @ columns
+        products.ravel()[own * (len(products) + 1) :: len(products) + 1] += 1.0
+        reduced, cross = products[1:own, :own], products[own:]
+        cross[: len(residuals.rate_deviations), 0] += residuals.rate_deviations
+        solution = np.linalg.solve(cross[:, own:], cross[:, :own])
+        reduced = reduced - cross[:, 1:own].T @ solution
+        normal_matrix = reduced[:, 1:]
+        step = -np.linalg.solve(normal_matrix + RIDGE_MATRIX, reduced[:, 0])
+        nuisance_step = -solution[:, 0] - solution[:, 1:] @ step
+        predicted = columns[:, 0] + columns[:, 1:own] @ step + columns[:, own:] @ nuisance_step
+
+        # lengths are those of Mahalanobis; after a long step, or one that was extrapolated, it shows too little
+        last_sigmas, sigmas = sigmas, sqrt(max(float(step @ normal_matrix @ step), 0.0))
+        shrinkage = sigmas / max(last_sigmas, TINY) if isfinite(last_sigmas) else 1.0
+        distance_sigmas = sigmas * min(max(shrinkage, last_ratio, MIN_RATIO), 1.0)
+        shorter = near and 0.0 < sigmas < MAX_EXTRAPOLATED * last_sigmas
+        ratio = float(last_step @ normal_matrix @ step) / max(last_sigmas**2, TINY) if shorter else 0.0
+        extrapolated = 0.0 < abs(ratio) < MAX_EXTRAPOLATED
+        factor = 1.0 / (1.0 - ratio) if extrapolated else 1.0
+        last_step, last_ratio = (0.0 * step, abs(ratio)) if extrapolated else (step, 0.0)
+        arcs, rates = retract_ring(residuals, factor * step, factor * nuisance_step[: len(residuals.rate_sds)])
+        if not (near or redescending or fixed is None) and sigmas < NEAR_SIGMAS:
+            near, approached, weights = True, weights, np.ones(len(weights))
+            weights[many] = np.abs(predicted[many]) < OUTLIER_SIGMAS
+            if not np.array_equal(weights, approached):
+                continue
+        if near and distance_sigmas < tolerance_sigmas:
+            break
+    assert fixed is not None
+    return Iterated(arcs, rates, prior, fixed, weights, normal_matrix, nuisance_step, distance_sigmas)
+
+
+def nuisance_columns(residuals: Residuals, fixed: FixedColumns) -> Float64[Array, "row error"]:
+    """Matrix B: derivatives with respect to the rates, then the other common errors, in sigmas of their priors."""
+    return np.concatenate([residuals.wrt_rates * residuals.rate_sds, fixed.columns], axis=1)
+
+
+def _estimate(end: Iterated, residuals: Residuals) -> Estimate:
+    """The estimate at the end of an iteration, with the residuals there."""
+    fixed, nuisance_step, inverse = end.fixed, end.nuisance_step, _inverse(end.normal_matrix)
+    determined = not poorly_determined(inverse)
+    nuisance, many = nuisance_columns(residuals, fixed), np.flatnonzero(residuals.observations.many)
+    nuisance_step[: len(residuals.rate_sds)] = 0.0
+    remaining = residuals.residual + nuisance @ nuisance_step
+    squares = np.minimum(remaining**2, 1e6)
+    squares[many] = 0.0
+    numbers = residuals.observations.numbers + len(remaining) - residuals.data_rows
+    common = np.concatenate([nuisance_step[: len(nuisance_step) - fixed.edge_errors], residuals.rate_deviations])
+    return Estimate(
+        residuals=residuals,
+        arcs=residuals.arcs,
+        rates=residuals.rates,
+        weights=end.weights,
+        fixed=fixed,
+        nuisance=nuisance,
+        nuisance_step=nuisance_step,
+        normal_matrix=end.normal_matrix,
+        inverse=inverse,
+        prior=end.prior,
+        remaining=remaining,
+        chi2=float(squares.sum()) + float(common @ common),
+        numbers=numbers,
+        degrees_of_freedom=max(numbers - PARAMETERS, 0),
+        distance_sigmas=end.distance_sigmas,
+        converged=end.distance_sigmas < DECISION_SIGMAS,
+        determined=determined,
+        edge_residuals=remaining[many],
+    )
 
 
 def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"]:
@@ -319,72 +398,23 @@ def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"]:
     return inverse
 
 
-def solve_normal_equations(
-    residuals: Residuals, weights: Float64[Array, "row"], nuisance: Float64[Array, "row error"]
-) -> tuple[Float64[Array, "7 7"], Float64[Array, "7"], Float64[Array, "error"]]:
-    """The normal matrix with the common errors marginalised, the ring's step, and the step of the common errors.
-
-    With residuals r, Jacobian J, weights W and the derivatives B with respect to the common errors (unit variance),
-    the Schur complement of [J B]^T W [J B] + diag(0, 1): S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, and
-    S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 (B^T W r + q)), Eq. (5.9). The residuals contain the common errors q
-    that are estimated already, the rates, which come first; the others are 0 there.
-    """
-    columns = np.concatenate([residuals.system, nuisance], axis=1)  # [r J B]
-    products = (columns.T * weights) @ columns
-    products.ravel()[(1 + PARAMETERS) * (len(products) + 1) :: len(products) + 1] += 1.0
-    reduced, cross_information = products[1 : 1 + PARAMETERS, : 1 + PARAMETERS], products[1 + PARAMETERS :]
-    cross_information[: len(residuals.rate_deviations), 0] += residuals.rate_deviations
-    solution = cross_information[:, : 1 + PARAMETERS]
-    if len(solution):
-        solution = np.linalg.solve(cross_information[:, 1 + PARAMETERS :], solution)
-        reduced = reduced - cross_information[:, 1 : 1 + PARAMETERS].T @ solution
-    step = -np.linalg.solve(reduced[:, 1:] + RIDGE_MATRIX, reduced[:, 0])
-    return reduced[:, 1:], step, -solution[:, 0] - solution[:, 1:] @ step
-
-
-def _robust_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Float64[Array, "row"]:
-    """Huber weights of break points and visible edges; 1 for lines, which are robust fits, and for the prior."""
-    robust = slice(residuals.ends, residuals.data_rows)
-    weights = np.ones(len(residual))
-    weights[robust] = HUBER_SIGMAS / np.maximum(np.abs(residual[robust]), HUBER_SIGMAS)
-    return weights
-
-
-def _inlier_weights(residual: Float64[Array, "row"], residuals: Residuals) -> Float64[Array, "row"]:
-    """0 for the visible edge points that are outliers, 1 for everything else."""
-    weights = np.ones(len(residual))
-    edges = slice(residuals.stripe_rows, residuals.data_rows)
-    weights[edges] = np.abs(residual[edges]) < OUTLIER_SIGMAS
-    return weights
-
-
-def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) -> bool:
-    """Whether tilt or in-plane rotation are left to more than 0.5 rad, or curvature to more than 1/m (sigmas).
-
-    The weak priors of `ring_residuals` have about these standard deviations. `factor` multiplies the variances.
-    """
-    variance = covariance.diagonal().tolist()
-    return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 * factor) or bool(
-        variance[CURVATURE] > factor
-    )
-
-
 # Initial guess
 
 MIN_LENGTH_M = 1e-9
 """A shorter vector has no direction."""
 
 
-def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
+def initial_guess(measured: Measurements, prior: Prior) -> RingArcs | None:
     """The plane of the stripes, and a ring of typical size on it; None if the plane is not in front of the camera.
 
     The origin lies on the middle of the face, on the mean ray of the break points.
     """
-    measured, view = observations.measured, observations.view
-    if not len(measured.points.x):
+    observations, points = measured.observations, measured.points
+    view = observations.view
+    if not len(points.x):
         return None
     try:
-        plane = _plane_of_stripes(observations)
+        plane = _plane_of_stripes(measured)
     except np.linalg.LinAlgError:
         return None
     # the stripes on that plane, and the break points on them
@@ -397,7 +427,7 @@ def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
         return None
     ends = view.ends
     rays, slope, depth_m = rays[ends:], slope[ends:], 1.0 / inverse_depth[ends:]
-    described = observations.described
+    described = points.described
     points_m = depth_m[:, None] * rays
     # dP/dx of the break points along their stripes, for P = depth r
     points_wrt_x = depth_m[:, None] * np.column_stack([np.ones_like(slope), slope, np.zeros_like(slope)])
@@ -405,10 +435,10 @@ def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
 
     normal = -plane / float(np.sqrt(plane @ plane))
     across = (normal @ GENERATORS).reshape(3, 3)  # across @ v is the cross product of the normal and v
-    outward = _outward_direction(normal, across, observations, points_m, points_wrt_x)
+    outward = _outward_direction(normal, across, points, points_m, points_wrt_x)
     mean_ray = rays[described].mean(axis=0)
     origin = mean_ray / float(mean_ray @ plane)
-    curvature, half_band_m = _expected_size(observations, points_m @ outward, prior)
+    curvature, half_band_m = _expected_size(points, points_m @ outward, prior)
     if not described.all():  # a circle through the origin, with its centre inward, and the mean point of the other arc
         chord_m = points_m[~described].mean(axis=0) - origin
         curvature = -2.0 * float(chord_m @ outward) / max(float(chord_m @ chord_m), MIN_LENGTH_M**2)
@@ -420,9 +450,9 @@ def initial_guess(observations: Observations, prior: Prior) -> RingArcs | None:
     )
 
 
-def _plane_of_stripes(observations: Observations) -> Float64[Array, "3"]:
+def _plane_of_stripes(measured: Measurements) -> Float64[Array, "3"]:
     """The plane q that fits the stripes: (m . r - d q . r) / (m - d q)_y = 0, linear in q for a fixed denominator."""
-    measured, view = observations.measured, observations.view
+    observations, view = measured.observations, measured.observations.view
     ends, count = view.ends, len(view.rays)
     whitening = np.zeros((count, count))
     whitening[:ends, :ends] = observations.whitening
@@ -443,12 +473,12 @@ def _plane_of_stripes(observations: Observations) -> Float64[Array, "3"]:
 def _outward_direction(
     normal: Float64[Array, "3"],
     across: Float64[Array, "3 3"],
-    observations: Observations,
+    points: Points,
     points_m: Float64[Array, "point 3"],
     points_wrt_x: Float64[Array, "point 3"],
 ) -> Float64[Array, "3"]:
     """Mean direction from inner towards outer ends, seen from the middles of their stripes."""
-    points, described = observations.measured.points, observations.described
+    described = points.described
     first, last = np.flatnonzero(described)[[0, -1]].tolist()
     direction = ((2.0 * points.edge - 1.0) * (points.x - points.middle_x) * described) @ points_wrt_x
     if float(direction @ direction) < MIN_LENGTH_M**2:  # no stripe has a length: across the row of break points
@@ -460,13 +490,13 @@ def _outward_direction(
     return unit
 
 
-def _expected_size(observations: Observations, outward_m: Float64[Array, "point"], prior: Prior) -> tuple[float, float]:
+def _expected_size(points: Points, outward_m: Float64[Array, "point"], prior: Prior) -> tuple[float, float]:
     """Curvature (1/m) of the ring and half the width (m) of its face.
 
     Both follow from the prior of the radii where it gives them. Otherwise the curvature is that of a typical ring, and
     the width is the mean distance between the inner and the outer break points, at `outward_m` in radial direction.
     """
-    edges, described = observations.measured.points.edge, observations.described
+    edges, described = points.edge, points.described
     inner, outer = (outward_m[described & (edges == edge)].tolist() for edge in range(2))
     half_band_m = 0.5 * (sum(outer) / len(outer) - sum(inner) / len(inner)) if inner and outer else EXPECTED_HALF_BAND_M
     if prior.radii is None or not np.isfinite(prior.radii.radius_m).any():
@@ -474,262 +504,3 @@ def _expected_size(observations: Observations, outward_m: Float64[Array, "point"
     inner_m, outer_m = prior.radii.radius_m.tolist()
     both_known = np.isfinite(outer_m - inner_m)
     return 1.0 / float(np.nanmean(prior.radii.radius_m)), 0.5 * (outer_m - inner_m) if both_known else half_band_m
-
-
-# Residuals
-
-
-def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rates: Rates = STILL) -> Residuals:
-    """The residuals of a ring at the reference time.
-
-    With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
-    """
-    measured, view = observations.measured, observations.view
-    motion = prior.assumptions.motion if measured.moving else None
-    sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
-    rates = rates if len(sds) else STILL
-    stripes, every_edge = predicted_view(arcs, view, rates if len(sds) else None)
-    ends, samples, visible = view.ends, len(view.rays), len(view.visible_rays)
-    points = EdgeDistances(*(each[: samples - ends] for each in every_edge))
-    edges = EdgeDistances(*(each[samples - ends :] for each in every_edge))
-    stripe_rows = samples + observations.isolated
-    data_rows = stripe_rows + visible
-    of_prior = _prior_rows(arcs, prior)
-    rows = np.zeros((data_rows + len(of_prior), 1 + stripes.y_wrt_step.shape[1]))
-
-    # a: whitened distances of the lines' ends from the predicted lines
-    above = view.rays[:, 1] - stripes.rays[:, 1]
-    lines = np.concatenate([above[:, None], -stripes.y_wrt_step], axis=1)
-    rows[:ends] = observations.whitening @ lines[:ends]
-
-    # b: distances of the break points from their edges, along the predicted lines
-    lines, slope = lines[ends:], stripes.slope[ends:]
-    along = np.concatenate([points.distance_m[:, None], points.wrt_step], axis=1)
-    along[:, 1:] -= points.wrt_ray[:, 1:] * lines[:, 1:]  # the point moves with its line
-    distance_wrt_x = points.wrt_ray[:, 0] + slope * points.wrt_ray[:, 1]
-    distance_wrt_x = np.where(np.abs(distance_wrt_x) < MIN_RATE, MIN_RATE, distance_wrt_x)
-    scale = 1.0 / (np.abs(distance_wrt_x) * measured.points.sigma_x)
-    rows[ends:samples] = scale[:, None] * along
-
-    ordinates = NO_ORDINATES
-    if observations.isolated:
-        ordinates = which, share, scale_y = ordinate_scale(measured.points, slope, distance_wrt_x)
-        rows[samples:stripe_rows] = scale_y[:, None] * (lines[which] - share[:, None] * along[which])
-
-    # c: distances of the visible edge points from their edges, along the edges' normals in the image
-    edge_scale = 1.0 / np.maximum(np.abs((edges.wrt_ray * measured.edges.step).sum(axis=1)), TINY)
-    if visible:
-        rows[stripe_rows:data_rows, 0] = edge_scale * edges.distance_m
-        rows[stripe_rows:data_rows, 1:] = edge_scale[:, None] * edges.wrt_step
-
-    rows[data_rows:, : 1 + PARAMETERS] = of_prior  # d
-    return Residuals(
-        arcs=arcs,
-        rates=rates,
-        rate_sds=sds,
-        rate_deviations=np.divide(rates_along(arcs, rates), sds, out=np.zeros(5), where=sds > 0) if len(sds) else sds,
-        system=rows[:, : 1 + PARAMETERS],
-        residual=rows[:, 0],
-        jacobian=rows[:, 1 : 1 + PARAMETERS],
-        wrt_rates=rows[:, 1 + PARAMETERS : 1 + PARAMETERS + len(sds)],
-        wrt_camera=rows[:, 1 + PARAMETERS + len(sds) :],
-        ends=ends,
-        stripe_rows=stripe_rows,
-        data_rows=data_rows,
-        stripes=stripes,
-        points=points,
-        edges=edges,
-        edge_scale=edge_scale,
-        distance_wrt_x=distance_wrt_x,
-        distance_scale=scale,
-        ordinates=ordinates,
-        described=observations.described,
-    )
-
-
-def rates_along(arcs: RingArcs, rates: Rates) -> Float64[Array, "rate=5"]:
-    """The velocity, and the angular velocities about the inward axis and about the axis along the face."""
-    return np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
-
-
-def _prior_rows(arcs: RingArcs, prior: Prior) -> Float64[Array, "row 8"]:
-    """Residuals d and their derivatives by the step; `rows` holds each value with its nonzero derivatives."""
-    rows: list[tuple[float, dict[int, float]]] = []
-    if prior.radii is not None:
-        for sign, radius_m, assumed_m, sd_m in zip(
-            EDGE_SIGN, arcs.radius_m.tolist(), prior.radii.radius_m.tolist(), prior.radii.sd_m.tolist(), strict=True
-        ):
-            if assumed_m == assumed_m:
-                derivatives = {CURVATURE: -(arcs.mean_radius_m**2) / sd_m, HALF_BAND: sign / sd_m}
-                rows.append(((radius_m - assumed_m) / sd_m, derivatives))
-    if prior.regularize_about is not None:
-        inward, along, normal = arcs.axes
-        rows += [
-            ((arcs.curvature - EXPECTED_CURVATURE) / CURVATURE_SD, {CURVATURE: 1.0 / CURVATURE_SD}),
-            (float(inward @ prior.regularize_about.axes[1]) / TURN_SD_RAD, {TURN: 1.0 / TURN_SD_RAD}),
-        ]
-        for axis in range(2):
-            derivatives = {TILT_INWARD: inward[axis] / TILT_SD_RAD, TILT_ALONG: along[axis] / TILT_SD_RAD}
-            rows.append((float(normal[axis]) / TILT_SD_RAD, derivatives))
-    if prior.single_edge:
-        rows.append(((arcs.half_band_m - EXPECTED_HALF_BAND_M) / HALF_BAND_SD_M, {HALF_BAND: 1.0 / HALF_BAND_SD_M}))
-    found = np.zeros((len(rows), 1 + PARAMETERS))
-    for row, (value, derivatives) in zip(found, rows, strict=True):
-        row[0], row[1:][list(derivatives)] = value, list(derivatives.values())
-    return found
-
-
-def retract_ring(
-    residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]
-) -> tuple[RingArcs, Rates]:
-    """The ring and its rates after one step; `rate_step` is in standard deviations of the rates' prior.
-
-    A step longer than `MAX_TILT_RAD` is shortened as a whole. LinAlgError if the ring is then not in front of the
-    camera, or has an impossible size. The angular velocity stays across the normal.
-    """
-    arcs, rates = residuals.arcs, residuals.rates
-    largest = max(map(abs, step[[TILT_INWARD, TILT_ALONG, TURN]].tolist()))
-    moved = arcs.retract(step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step)
-    depth_m = -float(arcs.axes[2] @ moved.origin)
-    possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) < MAX_CURVATURE
-    if not (possible and all(map(isfinite, step.tolist()))):
-        raise np.linalg.LinAlgError("the iteration diverges")
-    if len(rate_step):
-        along = rates_along(arcs, rates) + rate_step * residuals.rate_sds
-        rates = Rates(along[:3], along[3:] @ moved.axes[:2])
-    return moved, rates
-
-
-# Common errors, whose derivatives are evaluated once, near the solution
-
-ROUNDED_M, ROUNDED_TOLERANCES = 5e-4, 5.0
-"""Standard deviation of the displacement of a visible edge by a chamfer or rounding, and its limit as a multiple of the
-ring's tolerance: machined edges are broken by up to half a millimetre, those of a perfect ring are sharp."""
-
-WALL_SD_M = 0.03
-"""Standard deviation of the depth of a wall's foot below the face: interface rings are 10 to 60 mm high."""
-
-
-def fixed_columns(residuals: Residuals, observations: Observations, prior: Prior) -> FixedColumns:
-    """Derivatives of the residuals with respect to the errors of rig, form, mount and visible edges."""
-    measured = observations.measured
-    wrt_rig, form, slope, columns = None, None, None, [np.zeros((len(residuals.residual), 0))]
-    mean_ray = np.zeros((2, 0))
-    errors = rig_errors(measured.rig, prior.assumptions.stability)
-    if errors is not None:
-        wrt_rig, mean_ray = rig_jacobian(residuals, observations, errors)
-        mean_ray = mean_ray @ errors.root
-        columns.append(wrt_rig @ errors.root)
-    if prior.assumptions.ring_tolerance_m > 0.0:
-        form = form_jacobian(residuals, observations)
-        columns.append(FORM_SHARE * prior.assumptions.ring_tolerance_m * form)
-    if prior.assumptions.face_slope_rad > 0.0:
-        slope = slope_jacobian(residuals, observations)
-        columns.append(prior.assumptions.face_slope_rad * slope[:, None])
-    if residuals.wrt_camera.shape[1] and measured.camera is not None:
-        variance = measured.camera.mount.covariance
-        uncertain = np.diag(variance) > 0
-        columns.append(residuals.wrt_camera @ covariance_root(variance[np.ix_(uncertain, uncertain)]))
-    columns.append(edge_jacobian(residuals, observations, prior))
-    return FixedColumns(
-        wrt_rig, form, slope, residuals.wrt_camera, mean_ray, np.concatenate(columns, axis=1), columns[-1].shape[1]
-    )
-
-
-def rig_jacobian(
-    residuals: Residuals, observations: Observations, errors: RigErrors
-) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
-    """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
-
-    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. The abscissae
-    of predicted points are those of the measured pixels, their ordinates those of the predicted stripes.
-    """
-    ends, stripes, laser, wrt_camera = residuals.ends, residuals.stripes, observations.laser, observations.wrt_camera
-    rays = (wrt_camera.reshape(-1, len(errors.camera)) @ errors.camera).reshape(
-        len(wrt_camera), 2, len(errors.parameters)
-    )
-    ray, edge_ray = rays[: len(laser)], rays[len(laser) :]
-    # m . r = d / depth: the cosine by the tilts is e1 . r and e2 . r, and the distance acts like a cosine of -1 / depth
-    cosine_wrt_tilts = (errors.basis[laser] @ stripes.rays[:, :, None])[:, :, 0]
-    y_wrt_plane = stripes.y_wrt_cosine[:, None] * np.column_stack([cosine_wrt_tilts, -1.0 / stripes.depth])
-    predicted_y = (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]
-    sloped = stripes.slope[:, None] * ray[:, 0]
-    above = ray[:, 1] - sloped - predicted_y
-    distance = residuals.points.wrt_ray[:, 1:] * predicted_y[ends:] + residuals.distance_wrt_x[:, None] * ray[ends:, 0]
-    blocks = [observations.whitening @ above[:ends], residuals.distance_scale[:, None] * distance]
-    which, share, scale = residuals.ordinates
-    if len(which):
-        blocks.append(scale[:, None] * (above[ends:][which] - share[:, None] * distance[which]))
-    if len(edge_ray):
-        wrt_ray = residuals.edge_scale[:, None] * residuals.edges.wrt_ray
-        blocks.append((wrt_ray[:, :, None] * edge_ray).sum(axis=1))
-    blocks.append(np.zeros((len(residuals.residual) - residuals.data_rows, len(errors.parameters))))
-    described = observations.described
-    mean_ray = np.array([of[ends:][described].mean(axis=0) for of in (ray[:, 0], predicted_y + sloped)])
-    return np.concatenate(blocks), mean_ray
-
-
-def form_jacobian(residuals: Residuals, observations: Observations) -> Float64[Array, "row amplitude=18"]:
-    """Derivatives of the residuals with respect to the amplitudes of the ring's form (`FORM_PARAMETERS`), Eq. (12.1).
-
-    An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
-    angle of the row.
-    """
-    points, edges = observations.measured.points, observations.measured.edges
-    ends, data_rows, rays = residuals.ends, residuals.data_rows, residuals.stripes.rays
-    angle = polar_angles(residuals.arcs, np.concatenate([rays, rays[ends:][points.isolated], edges.ray]))
-    of_edge = np.concatenate([np.full(ends, -1), points.edge, points.edge[points.isolated], edges.edge])
-    phase = angle[:, None] * FORM_ORDERS
-    shape = np.stack([np.cos(phase), np.sin(phase)], axis=-1).reshape(len(angle), -1)
-    # the increment HALF_BAND moves the outer edge outward, the inner one inward
-    outward = residuals.jacobian[:data_rows, HALF_BAND, None] * EDGE_SIGN * (of_edge[:, None] == range(len(EDGE_SIGN)))
-    axial = np.concatenate([-residuals.stripes.y_wrt_step[:ends, LIFT], residuals.jacobian[ends:data_rows, LIFT]])
-    deviation = np.concatenate([outward, axial[:, None]], axis=1)  # inner, outer, axial
-    jacobian = np.zeros((len(residuals.residual), len(FORM_PARAMETERS)))
-    jacobian[:data_rows] = (deviation[:, :, None] * shape[:, None]).reshape(data_rows, -1)
-    jacobian[:ends] = observations.whitening @ jacobian[:ends]  # the two ends of a line are at different angles
-    return jacobian
-
-
-def slope_jacobian(residuals: Residuals, observations: Observations) -> Float64[Array, "row"]:
-    """Derivatives of the residuals with respect to the slope of the face, Eq. (12.3).
-
-    The face rises outwards by the slope times the distance from its middle, and acts there like an offset of the plane.
-    """
-    arcs, stripes, ends, data_rows = residuals.arcs, residuals.stripes, residuals.ends, residuals.data_rows
-    points, edges = observations.measured.points, observations.measured.edges
-    of_lines_m = edge_distances(arcs, stripes.rays[:ends], np.zeros(ends)).distance_m
-    of_edges = np.concatenate([points.edge, points.edge[points.isolated], edges.edge])
-    jacobian = np.zeros(len(residuals.residual))
-    jacobian[:ends] = -observations.whitening @ (of_lines_m * stripes.y_wrt_step[:ends, LIFT])
-    jacobian[ends:data_rows] = arcs.half_band_m * (2.0 * of_edges - 1.0) * residuals.jacobian[ends:data_rows, LIFT]
-    return jacobian
-
-
-def edge_jacobian(residuals: Residuals, observations: Observations, prior: Prior) -> Float64[Array, "row error"]:
-    """Derivatives of the residuals with respect to the common errors of visible edges, in their standard deviations.
-
-    A chamfer or a rounding reflects laser light and ambient light in different directions, so that the edge in ambient
-    light lies beside the ends of the stripes by up to its width.
-
-    What looks like an edge may be the foot of the ring's wall where the camera sees the wall and it is as bright as the
-    face: the depth of the foot below the face is an error of each edge. Beside several stripes it mainly changes the
-    curvature, as the wall's width in the image changes along the edge; a single one leaves the tilt about it to the
-    edges, and a tilt has the same effect.
-    """
-    edges = observations.measured.edges
-    rows = slice(residuals.data_rows - len(edges.edge), residuals.data_rows)
-    columns = [edges.common] if len(edges.edge) else []
-    rounded_m = min(ROUNDED_M, ROUNDED_TOLERANCES * prior.assumptions.ring_tolerance_m)
-    if columns and rounded_m > 0.0:
-        rounded = rounded_m * np.abs(residuals.jacobian[rows, HALF_BAND])
-        columns.append(rounded[:, None] * (edges.edge[:, None] == range(len(EDGE_SIGN))))
-    if columns and edges.walls:
-        outward = residuals.edge_scale * residuals.edges.wrt_step[:, LIFT]
-        of_edge = edges.edge[:, None] == range(len(EDGE_SIGN))
-        wall_seen = of_edge & (outward[:, None] * EDGE_SIGN > 0.0)
-        columns.append(WALL_SD_M * wall_seen * outward[:, None])
-    jacobian = np.zeros((len(residuals.residual), sum(each.shape[1] for each in columns)))
-    if columns:
-        jacobian[rows] = np.concatenate(columns, axis=1)
-    return jacobian

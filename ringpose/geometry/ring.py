@@ -438,6 +438,8 @@ class RingPrediction(NamedTuple):
     camera's motion; there are no such columns for a ring and a camera at rest.
     """
 
+    arcs: RingArcs
+    """The ring at the reference time."""
     stripes: StripePrediction
     edges: EdgeDistances
     """Distances of the predicted stripes at the abscissae of the break points, then of the visible edge points."""
@@ -464,7 +466,7 @@ def predicted_view(arcs: RingArcs, view: RingSamples, rates: Rates | None) -> Ri
         wrt_all = (wrt_step[:, None] @ derivatives[instant])[:, 0]
         stripes = stripes._replace(y_wrt_step=wrt_all[: len(view.rays)])
         edges = edges._replace(wrt_step=wrt_all[len(view.rays) :])
-    return RingPrediction(stripes, edges)
+    return RingPrediction(arcs, stripes, edges)
 
 
 def _linearized_on_edges(

@@ -42,9 +42,10 @@ from ringpose.estimate.explanation import (
     edge_mean_square,
     explain,
 )
+from ringpose.estimate.factors import Prior
 from ringpose.estimate.hypotheses import edge_evidence
 from ringpose.estimate.measurements import Measurements, measurements_of
-from ringpose.estimate.residuals import Estimate, Prior
+from ringpose.estimate.solver import Estimate
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
@@ -331,9 +332,10 @@ def _covariance(best: Explanation, pose_quantities: Quantities) -> Float64[Array
 def _residual_rms_px(estimate: Estimate, measured: Measurements) -> float:
     """Root mean square distance of the break points from the predicted ones: along their lines, and across."""
     points, residuals, matrix = measured.points, estimate.residuals, measured.rig.camera.camera_matrix
-    along_px = residuals.points.distance_m / residuals.distance_wrt_x * matrix[0, 0]
-    across_px = (points.y - residuals.stripes.rays[residuals.ends :, 1]) * matrix[1, 1]
-    stretch = 1.0 + residuals.stripes.slope[residuals.ends :] ** 2
+    at, ends, count = residuals.at, residuals.observations.view.ends, len(points.x)
+    along_px = residuals.residual[ends : ends + count] * points.sigma_x * matrix[0, 0]
+    across_px = (points.y - at.stripes.rays[-count:, 1]) * matrix[1, 1]
+    stretch = 1.0 + at.stripes.slope[-count:] ** 2
     return sqrt(float((stretch * along_px**2 + across_px**2).sum()) / len(along_px))
 
 

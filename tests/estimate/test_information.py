@@ -13,9 +13,9 @@ from ringpose.estimate.covariance import (
     quantities,
 )
 from ringpose.estimate.explanation import explain
+from ringpose.estimate.factors import Prior
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.nuisance import total_covariance
-from ringpose.estimate.residuals import Prior
 from ringpose.geometry.ring import normal_and_center
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.pose.maximum_likelihood import most_likely_pose

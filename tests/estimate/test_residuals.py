@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from ring_scenes import face_points_of, make_scene, visible_edges_of
 
+from ringpose.estimate.factors import Prior, ring_residuals
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import Prior
-from ringpose.estimate.solver import ring_residuals
 from ringpose.geometry.ring import ring_arcs
 from ringpose.types.pose import KnownRadii
 
@@ -33,9 +32,9 @@ def some_arcs(scene, rng):
 
 def unscaled(residuals, points):
     """The rows in units that do not change with the state: the noise of a break point's distance does."""
-    residual = residuals.residual.copy()
-    residual[residuals.ends : residuals.ends + points] /= residuals.distance_scale
-    return residual[: residuals.ends + points]
+    residual, ends = residuals.residual.copy(), residuals.observations.view.ends
+    residual[ends : ends + points] /= residuals.observations.points.scale(residuals.at)
+    return residual[: ends + points]
 
 
 @pytest.mark.parametrize("parameter", range(7))
@@ -50,7 +49,7 @@ def test_rows_of_stripes_and_points_have_the_derivatives_of_central_differences(
     )
 
     derivative = residuals.jacobian[: len(forward), parameter].copy()
-    derivative[residuals.ends :] /= residuals.distance_scale
+    derivative[observations.view.ends :] /= observations.points.scale(residuals.at)
     scale = max(1e-3, np.abs(derivative).max())
     np.testing.assert_allclose(derivative / scale, (forward - backward) / (2 * STEP) / scale, rtol=0, atol=1e-5)
 
@@ -82,7 +81,7 @@ def test_derivatives_of_visible_edges_do_not_contain_errors_of_the_points(rng):
         for edges in (exact, noisy)
     )
 
-    rows = slice(without.stripe_rows, without.data_rows)
+    rows = np.flatnonzero(without.observations.many)
     np.testing.assert_allclose(np.abs(with_errors.residual[rows]), np.abs(errors), atol=0.003)
     scale = np.abs(without.jacobian[rows]).max(axis=0)
     assert (np.abs(with_errors.jacobian[rows] - without.jacobian[rows]) < 2e-5 * scale).all()

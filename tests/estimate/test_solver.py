@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from ring_scenes import face_points_of, make_scene
 
+from ringpose.estimate.factors import Prior, retract_ring, ring_residuals
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.residuals import DECISION_SIGMAS, Prior
-from ringpose.estimate.solver import estimate_ring, initial_guess, precise_ring, retract_ring, ring_residuals
+from ringpose.estimate.solver import DECISION_SIGMAS, estimate_ring, initial_guess, precise_ring
 from ringpose.geometry.ring import CURVATURE, HALF_BAND, LIFT, TILT_ALONG
 from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, RingPose
@@ -45,9 +45,9 @@ def test_the_search_ends_where_the_sum_of_squares_is_least(noisy, calibrated, ra
     def cost(step):
         residuals = ring_residuals(estimate.arcs.retract(step), observations, prior)
         residual = residuals.residual.copy()
-        points = slice(residuals.ends, residuals.ends + len(residuals.distance_wrt_x))
+        factor, points = observations.points, slice(observations.view.ends, observations.view.ends + 6)
         # in metres along its circle, the noise of a break point is that at the solution
-        residual[points] *= estimate.residuals.distance_scale / residuals.distance_scale
+        residual[points] *= factor.scale(estimate.residuals.at) / factor.scale(residuals.at)
         errors = estimate.nuisance_step
         return np.sum((residual + estimate.nuisance @ errors) ** 2) + errors @ errors
 
@@ -65,7 +65,7 @@ def test_an_estimate_is_the_same_from_any_start(noisy):
     rough = estimate_ring(measured, Prior(), tolerance_sigmas=DECISION_SIGMAS)
 
     estimate = estimate_ring(measured, Prior())
-    others = estimate_ring(measured, Prior(), rough), precise_ring(rough, measured)
+    others = estimate_ring(measured, Prior(), rough), precise_ring(rough)
 
     sd = np.sqrt(estimate.inverse.diagonal())
     for other in others:
@@ -95,7 +95,7 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sid
     if not ends_seen:
         measured = replace(measured, points=measured.points._replace(x=measured.points.middle_x.copy()))
 
-    start = initial_guess(measured.observations, Prior())
+    start = initial_guess(measured, Prior())
 
     np.testing.assert_allclose(start.normal, scene.ring.normal, atol=1e-3)
     assert start.origin @ start.normal == pytest.approx(scene.ring.normal @ scene.ring.center_m, rel=1e-3)
@@ -105,9 +105,8 @@ def test_the_search_begins_on_the_rings_plane_and_with_out_on_the_right_side(sid
 
 def test_a_plane_behind_the_camera_is_no_start(noisy):
     _, measured = noisy
-    observations = measured.observations
-    view = observations.view
-    behind = observations._replace(view=view._replace(light_distance_m=-view.light_distance_m))
+    lasers = measured.rig.lasers
+    behind = replace(measured, rig=replace(measured.rig, lasers=replace(lasers, distance_m=-lasers.distance_m)))
 
     assert initial_guess(behind, Prior()) is None
 
