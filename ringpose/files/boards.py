@@ -50,6 +50,7 @@ KALIBR_KEYS = ("target_type", "tagCols", "tagRows", "tagSize", "tagSpacing", "co
 
 def _native(fields: Fields) -> Fields:
     """The keys of a target of Kalibr as those of a board file; `tagSpacing` is the gap in sides of a marker."""
+    _reject_other_target(fields)
     fields.reject_unknown(KALIBR_KEYS)
     if fields.choice("target_type", ("aprilgrid",)) and fields.number("codeOffset", missing=0.0):
         raise fields.problem("codeOffset", f"is {fields.values['codeOffset']}, must be 0", "give a board from marker 0")
@@ -65,6 +66,23 @@ def _native(fields: Fields) -> Fields:
     return Fields(fields.file, values, RECORD.keys)
 
 
+def _reject_other_target(fields: Fields) -> None:
+    """Name the board file to write for a target of Kalibr that is a checkerboard or has circles."""
+    target = fields.values["target_type"]
+    if target == "checkerboard":
+        remedy = (
+            "write a board file of kind: chessboard; squares_x and squares_y are targetCols and targetRows plus 1, "
+            "square_m is colSpacingMeters, square_y_m rowSpacingMeters"
+        )
+        raise fields.problem("target_type", f"is {target!r}, only 'aprilgrid' is read", remedy)
+    if target == "circlegrid":
+        remedy = (
+            "write a board file of kind: symmetric_circles or asymmetric_circles; squares_x and squares_y are "
+            "targetCols and targetRows, and measure the spacing"
+        )
+        raise fields.problem("target_type", f"is {target!r}, only 'aprilgrid' is read", remedy)
+
+
 def board_of(fields: Fields) -> Board:
     """The board in a mapping of a board file or scene."""
     kind: Any = fields.choice("kind", LAYOUTS)
@@ -73,6 +91,9 @@ def board_of(fields: Fields) -> Board:
         given = list(filter(fields.has, alternatives))
         if len(given) > 1:
             raise fields.problem(given[1], f"is given beside {given[0]}", "give the one that you have measured")
+        if not given and len(alternatives) > 1 and not fields.missing(alternatives[0]).remedy:
+            finding = f"has no key {', '.join(map(repr, alternatives[:-1]))} or {alternatives[-1]!r}"
+            raise fields.problem("", finding, "give the one that you have measured")
         fields.raw(given[0] if given else alternatives[0])
     if fields.has("ringpose"):
         fields.choice("ringpose", ("board/1",))

@@ -385,7 +385,8 @@ def _printed_markers(board: Board) -> Iterator[_Block]:
     for number, corners in zip(marker_ids(board), marker_corners(board), strict=True):
         from_rim = np.minimum(corners - corners.min(axis=0), corners.max(axis=0) - corners)
         if np.abs(from_rim).max() > FLATTENED * np.ptp(corners[:, 0]):
-            raise DataError("board", f"marker {number} is turned, only upright ones are drawn", "draw it otherwise")
+            remedy = "draw the board with another program; it is found in images all the same"
+            raise DataError("board", f"marker {number} is turned, only upright ones are drawn", remedy)
         picture = aruco.generateImageMarker(dictionary, number, size, borderBits=border)
         quarter_turns = int(np.argmin(corners[:, :2].sum(axis=1)))  # own number of the corner at the top left
         side_m = float(np.ptp(corners[:, 0]))

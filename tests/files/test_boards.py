@@ -91,7 +91,9 @@ def test_a_target_of_kalibr_has_its_places_and_numbers(tmp_path):
     [
         ("0.3 ", "24  ", "tagSpacing: is 24, must be at least 0.01 and at most 1"),
         ("tagSize: 0.08", "tagSize: 80", "tagSize: is 80, must be 0.0002 to 1; give metres: 0.08 if"),
-        ("'aprilgrid'", "'checkerboard'", "target_type: is 'checkerboard', must be one of aprilgrid"),
+        ("'aprilgrid'", "'checkerboard'", "target_type: is 'checkerboard', only 'aprilgrid' is read; write a board"),
+        ("'aprilgrid'", "'circlegrid'", "only 'aprilgrid' is read; write a board file of kind: symmetric_circles or"),
+        ("'aprilgrid'", "'dots'", "target_type: is 'dots', must be one of aprilgrid"),
         ("tagRows: 2", "codeOffset: 7", "codeOffset: is 7, must be 0"),
         ("tagRows: 2", "tagRow: 2", "unknown key 'tagRow'; did you mean 'tagRows'?"),
     ],
@@ -162,8 +164,8 @@ def test_each_convention_of_asymmetric_circles_gives_the_distances_that_it_names
 @pytest.mark.parametrize(
     ("sizes", "finding"),
     [
+        ({}, "has no key 'spacing_m', 'spacing_in_row_m' or 'spacing_diagonal_m'; give the one that you have measured"),
         ({"spacing_m": 0.02, "spacing_in_row_m": 0.04}, "spacing_in_row_m: is given beside spacing_m; give the one"),
-        ({}, "has no key 'spacing_m'"),
         ({"spacing_diagonal_m": 20}, "spacing_diagonal_m: is 20, must be 0.0005 to 1; give metres"),
     ],
 )

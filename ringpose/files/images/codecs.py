@@ -42,7 +42,10 @@ def read_image(path: Path, channel: str | None = None, camera: Camera | None = N
     """Grey values of an image that is not a TIFF file of several pages; see `read_pages`."""
     pages = read_pages(path, channel, camera)
     if len(pages) > 1:
-        remedy = "give each page as an image; the calibration commands read all pages"
+        remedy = (
+            "give each page as an image, or pages that are the frames of one shot as NPZ (ringpose help conventions, "
+            "Shots); only the calibration commands read all pages"
+        )
         raise DataError(str(path), f"has {len(pages)} pages, must have one", remedy)
     return pages[0]
 
