@@ -142,3 +142,18 @@ def test_two_stripes_across_two_bars_are_no_ring(ends_m, is_ring):
     face = ring_face(segments, (), RIG)
 
     assert (face is not None and face.opposite is not None) == is_ring
+
+
+def test_much_foil_does_not_take_the_place_of_the_opposite_arc():
+    rows = [row for laser in (0, 2) for row in segments_on_plane(laser, lambda y_m: np.sqrt(RADIUS_M[::-1] ** 2 - y_m**2))]
+    foil = []
+    for number in range(40):  # long pieces one above the other
+        piece = rows[number % 2 * 2].copy()
+        piece[[CENTERS, X_START, X_END, MIDDLE_X]] = 400.0, 200.0, 600.0, 400.0
+        piece[[MIDDLE_Y, SCATTER]] = 30.0 + 13.0 * number, 0.3
+        foil.append(piece)
+
+    face = ring_face(np.array([*rows, *foil]), (), RIG)
+
+    assert face.opposite is not None
+    assert {tuple(each) for arc in (face, face.opposite) for each in arc.segments} == set(map(tuple, rows))

@@ -291,15 +291,19 @@ static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, 
     return penalty < 2 * params->cut_penalty ? penalty : INFINITY;
 }
 
+/* True if a segment is of that laser, or may be. */
+static int is_of(const Segment *segment, int laser, const Scene *scene) {
+    return segment->laser < 0 ? scene->unlabelled >> laser & 1 : segment->laser == laser;
+}
+
 /* The best segments for each laser, sorted by laser; `all` has room for the largest number of each. Returns how many. */
 static int find_candidates(const Segment *segment, size_t count, size_t unions, const Scene *scene, Candidate *all) {
     int found = 0;
     for (int laser = 0; laser < scene->lasers; laser++) {
         int own = 0;
         for (size_t i = 0; i < count; i++) {
-            int allowed = segment[i].laser < 0 ? scene->unlabelled >> laser & 1 : segment[i].laser == laser;
             Candidate candidate = {.segment = {(int32_t)i, -1}, .laser = laser, .ends = 2, .edge = {0, 1}};
-            if (!allowed) continue;
+            if (!is_of(&segment[i], laser, scene)) continue;
             place(segment, scene->ring, &candidate);
             if (!possible(scene->plane[laser], scene->candidates, &candidate)) continue;
             rate(&segment[i], i >= count - unions, scene, &candidate);
@@ -590,40 +594,53 @@ static int judge_chord(const Segment *all, size_t pieces, const Segment *united,
     return 1;
 }
 
-/* Appends a chord to those of its laser if its ends are seen: three of four, or both of one piece with two outer ends. */
-static int add_chord(const Candidate *chord, const Scene *scene, Candidate *own, int count) {
+/* Appends a chord to a list if its ends are seen: three of four, or both of one piece with two outer ends. */
+static int add_chord(const Candidate *chord, Candidate *list, int count, int maximum) {
     int wanted = chord->ends == 4 ? 3 : chord->edge[0] == chord->edge[1] ? 2 : 1;
-    return count_own(chord) < wanted ? count : rank(chord, own, count, 2 * scene->candidates->max_candidates);
+    return count_own(chord) < wanted ? count : rank(chord, list, count, maximum);
 }
 
-/* The chords of all lasers, sorted by laser. Returns how many, 0 if no stripe is seen on both arcs. */
-static int find_chords(const Segment *all, size_t count, size_t unions, const Scene *scene, Candidate *chord) {
+/* The chords of one laser that are seen on both arcs, at most `max_candidates`. Returns how many. */
+static int find_pairs(const Segment *all, size_t count, size_t pieces, int laser, const Scene *scene, Candidate *pairs) {
+    int found = 0;
+    for (size_t i = 0; i < count; i++)
+        for (size_t j = 0; j < count && is_of(&all[i], laser, scene); j++) {
+            Candidate pair = {.segment = {(int32_t)i, (int32_t)j}, .laser = laser, .ends = 4,
+                              .edge = {OUTER, INNER, INNER, OUTER}};
+            if (!on_one_line(&all[i], &all[j], scene->unions)) continue;
+            Segment both = united(&all[i], &all[j]);
+            if (judge_chord(all, pieces, &both, i >= pieces || j >= pieces, scene, &pair))
+                found = add_chord(&pair, pairs, found, scene->candidates->max_candidates);
+        }
+    return found;
+}
+
+/* Those of one piece, each with the names that its ends may have, at most `maximum`. Returns how many. */
+static int find_single_chords(const Segment *all, size_t count, size_t pieces, int laser, const Scene *scene, int maximum,
+                              Candidate *single) {
     static const int edges[3][2] = {{OUTER, OUTER}, {OUTER, INNER}, {INNER, OUTER}};
-    size_t pieces = count - unions;
-    int found = 0, pairs = 0;
+    int found = 0;
+    for (size_t i = 0; i < count; i++) {
+        Candidate piece = {.segment = {(int32_t)i, -1}, .laser = laser, .ends = 2};
+        if (!is_of(&all[i], laser, scene) || !judge_chord(all, pieces, &all[i], i >= pieces, scene, &piece)) continue;
+        for (int k = 0; k < 3; k++) {
+            piece.edge[0] = edges[k][0];
+            piece.edge[1] = edges[k][1];
+            found = add_chord(&piece, single, found, maximum);
+        }
+    }
+    return found;
+}
+
+/* The chords of all lasers, sorted by laser. Returns how many, 0 if no stripe is seen on both arcs. Long single pieces, as
+   those of foil, do not take the place of chords in two pieces. */
+static int find_chords(const Segment *all, size_t count, size_t unions, const Scene *scene, Candidate *chord) {
+    int found = 0, pairs = 0, maximum = 2 * scene->candidates->max_candidates;
     for (int laser = 0; laser < scene->lasers; laser++) {
         Candidate *of_laser = chord + found;
-        int own = 0;
-        for (size_t i = 0; i < count; i++) {
-            if (!(all[i].laser < 0 ? scene->unlabelled >> laser & 1 : all[i].laser == laser)) continue;
-            Candidate piece = {.segment = {(int32_t)i, -1}, .laser = laser, .ends = 2};
-            int is_possible = judge_chord(all, pieces, &all[i], i >= pieces, scene, &piece);
-            for (int k = 0; is_possible && k < 3; k++) {
-                piece.edge[0] = edges[k][0];
-                piece.edge[1] = edges[k][1];
-                own = add_chord(&piece, scene, of_laser, own);
-            }
-            for (size_t j = 0; j < count; j++) {
-                Candidate pair = {.segment = {(int32_t)i, (int32_t)j}, .laser = laser, .ends = 4,
-                                  .edge = {OUTER, INNER, INNER, OUTER}};
-                if (!on_one_line(&all[i], &all[j], scene->unions)) continue;
-                Segment both = united(&all[i], &all[j]);
-                if (!judge_chord(all, pieces, &both, i >= pieces || j >= pieces, scene, &pair)) continue;
-                int before = own;
-                own = add_chord(&pair, scene, of_laser, own);
-                pairs += own > before;
-            }
-        }
+        int own = find_pairs(all, count, count - unions, laser, scene, of_laser);
+        pairs += own;
+        own += find_single_chords(all, count, count - unions, laser, scene, maximum - own, of_laser + own);
         for (int i = 0; i < own; i++) complete(scene->plane[laser], scene->ring, &of_laser[i]);
         found += own;
     }
