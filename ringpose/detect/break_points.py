@@ -89,7 +89,7 @@ stripe stays within a row of pixels; over the rows that it crosses it averages o
 
 def break_points(
     face: Face,
-    segments: Float64[Array, "segment column=11"],
+    segments: Float64[Array, "segment column=12"],
     images: Sequence[LaserImage],
     rig: Rig,
     saturation_dn: int,
@@ -112,7 +112,7 @@ def break_points(
 
 def _on_arc(
     face: Face,
-    segments: Float64[Array, "segment column=11"],
+    segments: Float64[Array, "segment column=12"],
     images: Sequence[LaserImage],
     rig: Rig,
     saturation_dn: int,
@@ -346,7 +346,7 @@ by a third. That of a single stripe may be larger, on textured background.
 
 
 def flagged_ends(
-    segments: Float64[Array, "segment column=11"],
+    segments: Float64[Array, "segment column=12"],
     measured: Float64[Array, "segment end=2 column=10"],
     lasers: list[int],
     rig: Rig,
@@ -461,7 +461,7 @@ MIN_POINTS_OF_PLANE = 3
 """Ends that determine the plane of the face."""
 
 
-def beside_occluder(ends: Ends, segments: Float64[Array, "segment column=11"], rig: Rig) -> Bool[Array, "laser end=2"]:
+def beside_occluder(ends: Ends, segments: Float64[Array, "segment column=12"], rig: Rig) -> Bool[Array, "laser end=2"]:
     """Mask of the ends beside which another stripe of the same laser begins that lies in front of the face in space."""
     beside = np.zeros(ends.flags.shape, dtype=bool)
     seen = ~np.isnan(ends.position_px[..., 0])

@@ -497,7 +497,7 @@ def _without_moved_background(image: LaserImage, motion: RingMotion) -> LaserIma
     return replace(image, dark=None) if moved_px > MOVED_PX else image
 
 
-def select_face(segments: Float64[Array, "segment column=11"], unlabelled: Sequence[int], rig: Rig) -> Face:
+def select_face(segments: Float64[Array, "segment column=12"], unlabelled: Sequence[int], rig: Rig) -> Face:
     """The stripes on the ring's face; `unlabelled`: lasers of unlabelled segments. Raises `Stop` if there are none."""
     face = ring_face(segments, unlabelled, rig)
     if not unlabelled and _masks_contradicted(face, segments, rig):
@@ -558,7 +558,7 @@ def _dark_frame_lit(image: LaserImage) -> bool:
     return len(find_stripes(dark, lit, saturation_dn=image.threshold_scale_dn).piece) >= LONG_COLUMNS
 
 
-def _masks_contradicted(face: Face | None, segments: Float64[Array, "segment column=11"], rig: Rig) -> bool:
+def _masks_contradicted(face: Face | None, segments: Float64[Array, "segment column=12"], rig: Rig) -> bool:
     """Whether the stripes fit a ring of three lasers only under an assignment that contradicts the laser masks.
 
     Stripes on the body behind the ring fit one nearly always: it must explain clearly more than the face.
@@ -591,7 +591,7 @@ MIN_POSSIBLE_SHARE = 0.5
 upside down at most two thirds."""
 
 
-def stripes_behind_camera(segments: Float64[Array, "segment column=11"], rig: Rig) -> bool:
+def stripes_behind_camera(segments: Float64[Array, "segment column=12"], rig: Rig) -> bool:
     """Whether most straight stripes would lie behind the camera or inside its lens, for every possible laser."""
     long = segments[segments[:, CENTERS] >= LONG_COLUMNS]
     possible = _possible(long, rig)
@@ -600,7 +600,7 @@ def stripes_behind_camera(segments: Float64[Array, "segment column=11"], rig: Ri
     return float(long[anywhere, CENTERS].sum()) < MIN_POSSIBLE_SHARE * float(long[:, CENTERS].sum())
 
 
-def _possible(segments: Float64[Array, "segment column=11"], rig: Rig) -> Bool[Array, "segment laser"]:
+def _possible(segments: Float64[Array, "segment column=12"], rig: Rig) -> Bool[Array, "segment laser"]:
     """For each segment and laser, whether part of the segment has a possible depth on the laser's light plane."""
     per_m = undistorted_rays(_ends_undistorted_px(segments), rig.camera) @ planes_per_m(rig).T
     possible: Bool[Array, "segment laser"] = (per_m.max(axis=1) > POSSIBLE_PER_M[0]) & (
@@ -609,7 +609,7 @@ def _possible(segments: Float64[Array, "segment column=11"], rig: Rig) -> Bool[A
     return possible
 
 
-def _ends_undistorted_px(segments: Float64[Array, "segment column=11"]) -> Float64[Array, "segment end=2 xy=2"]:
+def _ends_undistorted_px(segments: Float64[Array, "segment column=12"]) -> Float64[Array, "segment end=2 xy=2"]:
     """The ends of segments, in undistorted pixels."""
     x_px = segments[:, [X_START, X_END]]
     y_px = segments[:, [MIDDLE_Y]] + segments[:, [SLOPE]] * (x_px - segments[:, [MIDDLE_X]])

@@ -93,7 +93,7 @@ class Face:
     """The segments on the ring's face."""
 
     lasers: tuple[int, ...]
-    segments: Float64[Array, "segment column=11"]
+    segments: Float64[Array, "segment column=12"]
     """One for each of these lasers; columns as in `SEGMENT_COLUMNS`."""
     score: float
     ambiguous: bool
@@ -169,14 +169,14 @@ class Chords(NamedTuple):
 class Faces(NamedTuple):
     """Hypotheses for the rim of the ring."""
 
-    segments: Float64[Array, "n column=11"]
+    segments: Float64[Array, "n column=12"]
     """The given segments, followed by the merged ones."""
     groups: tuple[Group, Group, Group]
     """The best groups of one, two and three segments."""
     chords: Chords
 
 
-def ring_face(segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig) -> Face | None:
+def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> Face | None:
     """The foremost face, from as many lasers as are consistent; None if no segment can be on a face.
 
     It is the one of the best score, unless there is one in front of it. `lasers` are those that an unlabelled segment
@@ -212,7 +212,7 @@ def ring_face(segments: Float64[Array, "segment column=11"], lasers: Sequence[in
 
 
 def _with_further_lasers(
-    face: Face, segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig
+    face: Face, segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig
 ) -> Face:
     """The face with the segments of a rig's fourth and further lasers that are near its plane and about as long.
 
@@ -232,7 +232,7 @@ def _with_further_lasers(
 
 
 def _segments_on_plane(
-    face: Face, segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig
+    face: Face, segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig
 ) -> dict[int, list[float]]:
     """The segments of the face, and of each other laser the longest one on its plane; none if they have no plane."""
     ends_m, lengths_m, origin, normal = _plane_of(face.segments, face.lasers, rig)
@@ -274,7 +274,7 @@ def _off_plane_px(
 
 
 def ring_faces(
-    segments: Float64[Array, "segment column=11"],
+    segments: Float64[Array, "segment column=12"],
     unlabelled: int,
     planes: Float64[Array, "laser xyz=3"],
     ring: RingParams,
@@ -296,7 +296,7 @@ def ring_faces(
     return Faces(np.frombuffer(every, np.float64).reshape(-1, len(SEGMENT_COLUMNS)), groups, both_arcs)
 
 
-def face_of_both_arcs(chords: Chords, segments: Float64[Array, "segment column=11"], rig: Rig) -> Face:
+def face_of_both_arcs(chords: Chords, segments: Float64[Array, "segment column=12"], rig: Rig) -> Face:
     """The face by a group of chords, from the arc nearer to the middle of the image, with the opposite arc."""
     arcs = []
     for side in range(2):  # on the left arc the left ends are on the outer edge
@@ -344,7 +344,7 @@ def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
     return three if three.score > two.score + (SEGMENT_PENALTY if among else -SEGMENT_PENALTY) else two
 
 
-def _lengths_consistent(segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig) -> bool:
+def _lengths_consistent(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> bool:
     """Whether the segments may cross one band: none is much shorter than the longest, unless the image truncates it."""
     lengths_m = _lengths_m(_ends_m(segments, lasers, rig))
     whole_m = lengths_m[segments[:, CLIPPED] == 0]
@@ -359,7 +359,7 @@ def _without(group: Group, laser: int) -> Group:
 
 
 def _beside_band(
-    group: Group, segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig
+    group: Group, segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig
 ) -> int | None:
     """The laser of three whose segment is beside the band of the other two, where another one of its segments is.
 
@@ -385,7 +385,7 @@ def _beside_band(
     return None
 
 
-def _turn_rad(segments: Float64[Array, "segment=3 column=11"], lasers: Sequence[int], rig: Rig) -> float:
+def _turn_rad(segments: Float64[Array, "segment=3 column=12"], lasers: Sequence[int], rig: Rig) -> float:
     """The smallest turn of one of three light planes after which these segments are coplanar, seen from the camera."""
     off_px = []
     for number, laser in enumerate(lasers):
@@ -421,7 +421,7 @@ class _Plane(NamedTuple):
         return alike
 
 
-def _plane_of(segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig) -> _Plane:
+def _plane_of(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> _Plane:
     ends_m = _ends_m(segments, lasers, rig)
     points_m = ends_m.reshape(-1, 3)
     origin_m = points_m.mean(axis=0)
@@ -430,21 +430,21 @@ def _plane_of(segments: Float64[Array, "segment column=11"], lasers: Sequence[in
 
 
 def _others(
-    selected: Float64[Array, "selected column=11"], segments: Float64[Array, "segment column=11"]
-) -> Float64[Array, "other column=11"]:
+    selected: Float64[Array, "selected column=12"], segments: Float64[Array, "segment column=12"]
+) -> Float64[Array, "other column=12"]:
     """The other segments that are not truncated by the image, and longer than most reflections."""
     used = (segments[:, None] == selected).all(axis=2).any(axis=1)
     return segments[~used & (segments[:, CLIPPED] == 0) & (segments[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)]
 
 
 def _of_laser(
-    segments: Float64[Array, "segment column=11"], laser: int, lasers: Sequence[int]
-) -> Float64[Array, "own column=11"]:
+    segments: Float64[Array, "segment column=12"], laser: int, lasers: Sequence[int]
+) -> Float64[Array, "own column=12"]:
     """The segments that may be of a laser; `lasers`: those that an unlabelled segment may belong to."""
     return segments[(segments[:, LASER] == laser) | ((segments[:, LASER] == UNLABELLED) & (laser in lasers))]
 
 
-def _foremost(face: Face, segments: Float64[Array, "segment column=11"], rig: Rig) -> Face:
+def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Rig) -> Face:
     """The face, or the one in front of it; `behind` if another surface in front of it may be the face.
 
     A ring's face is its foremost flat surface; a flange behind it is an annulus, too, and a wider one has longer
@@ -469,7 +469,10 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=11"], rig: Ri
             return nearer
     length_m, may_be_face = _lengths_m(ends_m), parallel_in_front(ends_m, plane.origin_m, plane.normal)
     short = length_m < MAX_TO_SHORTEST * max(plane.lengths_m)
-    assigned = np.flatnonzero((others[which, LASER] != UNLABELLED) & may_be_face & short)
+    start, end = face.segments[number][:, [X_START, X_END]].T
+    on_face = length_m < MIN_LENGTH_RATIO * min(plane.lengths_m)  # a head, between two pieces of the stripe
+    on_face &= (others[which, X_START] > start) & (others[which, X_END] < end)
+    assigned = np.flatnonzero((others[which, LASER] != UNLABELLED) & may_be_face & short & ~on_face)
     as_long = length_m[assigned].max(initial=0.0) > MIN_LENGTH_RATIO * min(plane.lengths_m)
     return replace(face, behind=bool(as_long) or len(set(number[assigned].tolist())) > 1)
 
@@ -491,7 +494,7 @@ def parallel_in_front(
 
 
 def displaced_lasers(
-    face: Face, segments: Float64[Array, "segment column=11"], lasers: Sequence[int], rig: Rig
+    face: Face, segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig
 ) -> tuple[int, ...]:
     """Lasers whose stripe was not selected, but which have one like those on the ring close to its plane.
 
@@ -517,7 +520,7 @@ def displaced_lasers(
 
 
 def _ends_m(
-    segments: Float64[Array, "n column=11"], lasers: Sequence[int] | Int64[Array, "n"], rig: Rig
+    segments: Float64[Array, "n column=12"], lasers: Sequence[int] | Int64[Array, "n"], rig: Rig
 ) -> Float64[Array, "n end=2 xyz=3"]:
     """The ends of segments in space (m, camera frame), each on the light plane of its laser."""
     x_px = segments[:, [X_START, X_END]]

@@ -201,7 +201,7 @@ def _two_sided_norm(taps: Float64[Array, "tap"]) -> float:
     return math.sqrt(2 * float(taps @ taps) - float(taps[0]) ** 2)
 
 
-def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "segment column=11"]:
+def stripe_line_segments(stripes: Stripes, camera: Camera) -> Float64[Array, "segment column=12"]:
     """The straight line segments of the stripes, in undistorted pixels; columns as in `SEGMENT_COLUMNS`."""
     params = SegmentParams(image_width=camera.image_width, border_px=BORDER_PX)
     return straight_segments(stripes.position_px, stripes.sigma_px, stripes.piece, stripes.laser, lens(camera), params)
@@ -214,7 +214,7 @@ def straight_segments(
     laser: Int64[Array, "piece"],
     lens: Lens,
     params: SegmentParams,
-) -> Float64[Array, "segment column=11"]:
+) -> Float64[Array, "segment column=12"]:
     """Straight lines y = middle_y + slope (x - middle_x) through stripe centres, in undistorted pixels.
 
     Pieces are split at their kinks (Ramer-Douglas-Peucker on running medians of seven) and joined across gaps. Each

@@ -145,7 +145,10 @@ def test_two_stripes_across_two_bars_are_no_ring(ends_m, is_ring):
 
 
 def test_much_foil_does_not_take_the_place_of_the_opposite_arc():
-    rows = [row for laser in (0, 2) for row in segments_on_plane(laser, lambda y_m: np.sqrt(RADIUS_M[::-1] ** 2 - y_m**2))]
+    def half_widths_m(y_m):
+        return np.sqrt(RADIUS_M[::-1] ** 2 - y_m**2)
+
+    rows = [row for laser in (0, 2) for row in segments_on_plane(laser, half_widths_m)]
     foil = []
     for number in range(40):  # long pieces one above the other
         piece = rows[number % 2 * 2].copy()

@@ -309,3 +309,28 @@ def test_two_stripes_of_which_one_is_on_the_floor_of_a_groove_are_no_face(seed, 
     face = ring_face(np.array(rows), (), RIG)
 
     assert face.lasers == tuple(own for own in ALL if own != laser)
+
+
+def interrupted(seed, height_m):
+    """Both pieces of each stripe on a face, and what stands on its middle third on two of them."""
+    rows = []
+    for laser, ends in enumerate(face_ends(seed)):
+        start, end = ends
+        thirds = [start, start + 0.36 * (end - start), start + 0.64 * (end - start), end]
+        pieces = [row(*thirds[:2], laser), row(*thirds[2:], laser)]
+        for piece, inside in zip(pieces, ("after_end", "before_start"), strict=True):
+            piece[SEGMENT_COLUMNS.index(inside)] = 40.0
+        rows += pieces
+        if laser:
+            rows.append(row(*in_front(np.stack(thirds[1:3]), laser, height_m, 0.0, shift_m=0.0), laser))
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_two_springs_on_the_stripes_of_a_face_interrupt_them(seed):
+    face = ring_face(interrupted(seed, 0.02), (), RIG)
+
+    assert face.lasers == ALL
+    assert not face.behind
+    ends_px = face.segments[:, [SEGMENT_COLUMNS.index("x_start"), SEGMENT_COLUMNS.index("x_end")]]
+    np.testing.assert_allclose(ends_px, face_ends(seed)[..., 0])

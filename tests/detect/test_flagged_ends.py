@@ -27,7 +27,7 @@ def segments(rng, count):
     start, length = rng.uniform(0, 500, count), rng.uniform(0, 300, count)
     line = (start + length / 2, rng.uniform(50, 550, count), rng.uniform(-0.2, 0.2, count))
     spread = (rng.uniform(0.01, 0.5, count), rng.uniform(1, 20, count))
-    rest = (np.zeros(count), np.zeros(count))
+    rest = (np.zeros(count), np.zeros(count), np.zeros(count))
     return np.stack(
         [np.full(count, -1.0), rng.integers(8, 300, count), start, start + length, *line, *spread, *rest], -1
     )
@@ -66,7 +66,7 @@ def clean_ends(count):
 def test_ordinates_err_like_those_of_a_least_squares_line(columns, alike):
     """Of so many centres less four at either end, each few correlated ones count as one, and the fit takes five."""
     scatter, length = 0.3, 200.0
-    segment = np.array([[-1.0, columns, 300.0, 500.0, 400.0, 200.0, 0.0, scatter, alike, 0.0, 0.0]])
+    segment = np.array([[-1.0, columns, 300.0, 500.0, 400.0, 200.0, 0.0, scatter, alike, 0.0, 0.0, 0.0]])
 
     found = flagged_ends(segment, clean_ends(1), [0], rig_of(1))
 
@@ -80,7 +80,7 @@ def test_ordinates_err_like_those_of_a_least_squares_line(columns, alike):
 
 
 def test_what_lies_beneath_a_stripe_makes_its_line_no_better_than_that():
-    segment = np.array([[-1.0, 200.0, 300.0, 500.0, 400.0, 200.0, 0.0, 1e-6, 1.0, 0.0, 0.0]])
+    segment = np.array([[-1.0, 200.0, 300.0, 500.0, 400.0, 200.0, 0.0, 1e-6, 1.0, 0.0, 0.0, 0.0]])
     ends = clean_ends(1)
     ends[..., 9] = 0.04
 
@@ -111,7 +111,7 @@ def test_ends_belong_to_the_lasers_of_their_tracks(rng):
 )
 def test_scatter_of_a_stripe_is_estimated_together_with_that_of_the_others(scatter_px, lowest_px, highest_px):
     """Of three stripes of 68 columns; the fit of a line then takes 5 / sqrt(3) columns from each."""
-    segment = np.array([[-1.0, 68.0, 300.0, 500.0, 400.0, 200.0, 0.0, 0.05, 1.0, 0.0, 0.0]] * 3)
+    segment = np.array([[-1.0, 68.0, 300.0, 500.0, 400.0, 200.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]] * 3)
     segment[2, 7] = scatter_px
 
     found = flagged_ends(segment, clean_ends(3), [0, 1, 2], rig_of(3))

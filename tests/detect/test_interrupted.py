@@ -1,5 +1,6 @@
-"""Two stripes that nothing interrupts are a pose: rendered rings with a gap, and with a cable over the third stripe."""
+"""Rendered rings with bolts, a gap, or a cable over one stripe: two stripes that nothing interrupts are a pose."""
 
+import numpy as np
 import pytest
 
 from ringpose.files.images.shots import read_shot
@@ -20,3 +21,15 @@ def test_two_whole_stripes_are_a_pose_that_names_the_third(shared_data, kind, la
     assert f"the stripe of laser {laser}" in line.reason
     off_m = (line.pose.grasp_m - truth.center_m) @ truth.normal
     assert abs(off_m) < 1e-3
+
+
+def test_bolts_on_all_stripes_interrupt_them(shared_data):
+    folder, name = shared_data / "rendered" / "surfaces_b", "W_bolts_B500_dim_sw"
+    (truth,) = (each for each in read_truths(folder / "truth.jsonl") if each.shot == name)
+    setup = Setup(rig=read_rig(folder / "rig.yaml"))
+
+    line = setup.line(setup.detection(read_shot(folder / "shots" / f"{name}.npz")))
+
+    assert line.status == "ok"
+    off_m = line.pose.center_m - truth.center_m
+    assert off_m @ np.linalg.solve(line.pose.covariance_center_m2, off_m) < 16.3  # one in a thousand

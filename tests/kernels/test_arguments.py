@@ -11,7 +11,7 @@ from ringpose.detect.break_points import EndParams
 from ringpose.detect.edge_search import PlaceParams, ProfileParams, StepParams
 from ringpose.detect.stripes import StripeParams
 from ringpose.kernels import _kernels, kernel_record
-from ringpose.kernels.lines import CandidateParams, Lens, RingParams, SegmentParams, UnionParams
+from ringpose.kernels.lines import SEGMENT_COLUMNS, CandidateParams, Lens, RingParams, SegmentParams, UnionParams
 
 IMAGE = np.zeros((8, 9), np.uint8)
 MAGNITUDE = np.zeros((8, 9), np.int16)
@@ -30,7 +30,7 @@ PLACES = PlaceParams(image_width=100, image_height=90)
 PROFILES = ProfileParams(reach_px=2, inside_px=2, outside_px=2, saturation_dn=255)
 STRIPES = StripeParams(min_response=0.2, coarse_per_response=5.0, full_dn=255)
 RING = RingParams(focal_x=900.0, focal_y=900.0, principal_x=400.0, principal_y=300.0, image_height=90)
-TRACKS = np.zeros((2, 11))
+TRACKS = np.zeros((2, len(SEGMENT_COLUMNS)))
 
 
 def numbers(*shape):

@@ -9,7 +9,7 @@ from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.detect.rim import ring_faces
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.lines import BEYOND_ENDS, SEGMENT_COLUMNS, CandidateParams, RingParams, UnionParams
+from ringpose.kernels.lines import SEGMENT_COLUMNS, CandidateParams, RingParams, UnionParams
 
 
 class Rules(NamedTuple):
@@ -45,7 +45,7 @@ def tracks_between(start_px, end_px, *, count=40.0, scatter=0.1, spilt=0.0, lase
     """Segments from there to there, undistorted pixels; the rest is the same for all, or given for each."""
     middle = (start_px + end_px) / 2
     slope = (end_px[:, 1] - start_px[:, 1]) / (end_px[:, 0] - start_px[:, 0])
-    columns = (laser, count, start_px[:, 0], end_px[:, 0], *middle.T, slope, scatter, 2.0, clipped, spilt)
+    columns = (laser, count, start_px[:, 0], end_px[:, 0], *middle.T, slope, scatter, 2.0, clipped, spilt, 0.0)
     return np.stack(np.broadcast_arrays(*columns), axis=-1).astype(np.float64)
 
 
@@ -173,6 +173,8 @@ def stripes_of_nearly_parallel_planes(depth_m):
     return light, tracks_between(ends[:, 0], ends[:, 1])
 
 
+AFTER_END = SEGMENT_COLUMNS.index("after_end")
+
 WIDE = {"focal_x": 960.0, "focal_y": 960.0, "principal_x": 799.5, "principal_y": 599.5}
 
 
@@ -181,7 +183,7 @@ def test_other_lasers_stripes_on_the_body_that_happen_to_lie_on_a_stripes_line_a
     """At half a metre the next laser's stripe on a body 60 mm behind runs where this one's on the ring does."""
     light, segments = stripes_of_nearly_parallel_planes(0.5)
     alone = ring_faces(segments, ANY, light, *with_rules(**WIDE)).groups[2].score
-    segments[1:, BEYOND_ENDS] = 3 * 40.0
+    segments[1:, AFTER_END] = 3 * 40.0
     segments[:, 0] = np.where([lasers == ANY] * 3, -1.0, [0, 1, 2])
 
     found = ring_faces(segments, lasers, light, *with_rules(**WIDE)).groups[2]
@@ -192,11 +194,11 @@ def test_other_lasers_stripes_on_the_body_that_happen_to_lie_on_a_stripes_line_a
 
 def test_what_lies_on_the_line_of_the_nearest_of_parallel_stripes_can_be_no_other_lasers():
     light, segments = stripes_of_nearly_parallel_planes(0.5)
-    segments[0, BEYOND_ENDS] = 3 * 40.0
+    segments[0, AFTER_END] = 3 * 40.0
 
     found = ring_faces(segments, ANY, light, *with_rules(**WIDE)).groups[2]
 
-    segments[0, BEYOND_ENDS] = 0.0
+    segments[0, AFTER_END] = 0.0
     assert ring_faces(segments, ANY, light, *with_rules(**WIDE)).groups[2].score - found.score == pytest.approx(
         0.75 * 15
     )
@@ -215,7 +217,7 @@ def track_of(x, y, spilt=20.0, laser=-1.0, clipped=0.0):
     """The segment that least squares make of centres."""
     slope, offset = np.polyfit(x, y, 1)
     scatter = (y - offset - slope * x).std()
-    return np.array([laser, len(x), x[0], x[-1], x.mean(), y.mean(), slope, scatter, 1.0, clipped, spilt])
+    return np.array([laser, len(x), x[0], x[-1], x.mean(), y.mean(), slope, scatter, 1.0, clipped, spilt, spilt])
 
 
 def halves(rng, step_px=0.0, **of_second):
@@ -235,6 +237,15 @@ def test_a_union_is_the_line_through_all_centres(rng):
     assert found["middle_y"] == pytest.approx(wanted["middle_y"], abs=0.01)
     assert found["slope"] == pytest.approx(wanted["slope"], abs=3e-4)
     assert found["scatter"] == pytest.approx(wanted["scatter"], rel=0.05)
+
+
+def test_what_lies_on_the_line_between_two_pieces_is_not_beyond_the_ends_of_their_union(rng):
+    segments, _ = halves(rng)
+    segments[0, -2:], segments[1, -2:] = (3.0, 60.0), (45.0, 7.0)
+
+    (*_, both) = ring_faces(segments, ANY, planes(), *RULES).segments
+
+    assert both[-2:].tolist() == [3.0, 7.0]
 
 
 def test_pieces_of_one_line_are_tried_as_one_whatever_their_order(rng):
@@ -258,7 +269,7 @@ def test_what_cannot_be_one_stripe_is_not_joined(rng, of_second):
 
 
 def test_no_tracks_give_no_group():
-    groups = ring_faces(np.zeros((0, 11)), ANY, planes(), *RULES).groups
+    groups = ring_faces(np.zeros((0, len(SEGMENT_COLUMNS))), ANY, planes(), *RULES).groups
 
     assert [group.score for group in groups] == [-np.inf] * 3
 

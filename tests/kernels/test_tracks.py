@@ -138,7 +138,7 @@ def test_white_noise_has_a_correlation_near_one(rng):
 def test_no_centres_give_no_tracks():
     nothing = np.zeros((0, 2)), np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64)
 
-    assert straight_segments(*nothing, STRAIGHT, RULES).shape == (0, 11)
+    assert straight_segments(*nothing, STRAIGHT, RULES).shape == (0, len(SEGMENT_COLUMNS))
 
 
 @pytest.mark.parametrize(

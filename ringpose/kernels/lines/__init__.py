@@ -52,13 +52,13 @@ class SegmentParams:
 
 
 SEGMENT_COLUMNS = column_names("Segment")
-"""Columns of the result of `straight_segments` (stripe_segments.h); `beyond_ends` counts the centres on the segment's
-line that lie between 2 px and the segment's length (at most 100 px) + 40 px beyond its ends."""
+"""Columns of the result of `straight_segments` (stripe_segments.h); `before_start` and `after_end` count the
+centres on the segment's line from 2 px to the segment's length (at most 100 px) + 40 px beyond either end."""
 
 LASER, CENTERS, X_START, X_END = map(SEGMENT_COLUMNS.index, ("laser", "centers", "x_start", "x_end"))
 MIDDLE_X, MIDDLE_Y, SLOPE = map(SEGMENT_COLUMNS.index, ("middle_x", "middle_y", "slope"))
 SCATTER, CORRELATION = map(SEGMENT_COLUMNS.index, ("scatter", "correlation"))
-CLIPPED, BEYOND_ENDS = map(SEGMENT_COLUMNS.index, ("clipped", "beyond_ends"))
+CLIPPED = SEGMENT_COLUMNS.index("clipped")
 
 
 @kernel_record
@@ -68,7 +68,7 @@ class UnionParams:
 
     min_beyond_ends: int = 5
     """Fewest centres on a segment's line beyond its ends; with fewer there is nothing to merge it with."""
-    max_gap: float = 0.5
+    max_gap: float = 1.0
     """Longest gap, as a share of the length of both segments together."""
     separation_px: float = 1.0
     """Largest distance of the two lines in the middle of the gap, for facets,"""

@@ -102,6 +102,8 @@ typedef struct {
     double gained;           /* of chords: the score, and what is gained by the ends that agree */
 } Best;
 
+static double beyond_ends(const Segment *segment) { return segment->before_start + segment->after_end; }
+
 /* True if the second segment, to the right, may lie on the line of the first. */
 static int on_one_line(const Segment *first, const Segment *second, const UnionParams *params) {
     double gap = second->x_start - first->x_end;
@@ -141,7 +143,7 @@ static Segment united(const Segment *first, const Segment *second) {
     both.slope = xy / xx;
     both.scatter = sqrt(fmax(yy - both.slope * xy, 0) / count);
     both.correlation = fmax(first->correlation, second->correlation);
-    both.beyond_ends = fmax(first->beyond_ends - second->centers, 0) + fmax(second->beyond_ends - first->centers, 0);
+    both.after_end = second->after_end; /* what lies between them interrupts the stripe */
     return both;
 }
 
@@ -168,7 +170,7 @@ static int unite_collinear(const Segment *segment, size_t count, const UnionPara
     size_t first = unions->used;
     int done = 1;
     for (size_t i = 0; done && i < count; i++)
-        if (segment[i].beyond_ends >= params->min_beyond_ends && !segment[i].clipped) done = add(&pieces, &segment[i]);
+        if (beyond_ends(&segment[i]) >= params->min_beyond_ends && !segment[i].clipped) done = add(&pieces, &segment[i]);
     const Segment *piece = pieces.data;
     for (size_t i = 0; done && i < pieces.used; i++) done = unite(piece[i], &pieces, params, unions);
     for (size_t round = 1; done && round < (size_t)params->rounds; round++) {
@@ -223,11 +225,11 @@ static int may_be_other_laser(const Segment *segment, const Candidate *candidate
    group of three gets back what exceeds the penalty of such a coincidence. */
 static void rate(const Segment *segment, int is_union, const Scene *scene, Candidate *candidate) {
     const CandidateParams *params = scene->candidates;
-    double share = segment->beyond_ends / (segment->beyond_ends + segment->centers);
+    double share = beyond_ends(segment) / (beyond_ends(segment) + segment->centers);
     double scatter = segment->scatter / params->typical_scatter_px;
     double straight = 2 * log(fmin(segment->centers, params->max_counted_columns)) - 0.5 * scatter * scatter;
-    double beyond_ends = params->spill_penalty * share, excess = beyond_ends - params->coincidence_penalty;
-    candidate->merit = straight - beyond_ends - params->union_penalty * is_union;
+    double spill = params->spill_penalty * share, excess = spill - params->coincidence_penalty;
+    candidate->merit = straight - spill - params->union_penalty * is_union;
     candidate->coincidence_bonus = excess > 0 && may_be_other_laser(segment, candidate, scene) ? excess : 0;
 }
 

@@ -222,8 +222,8 @@ static int count_beyond_ends(Draft *drafts, size_t count, const Work *work) {
     for (size_t t = 0; done && t < count; t++) {
         Segment *segment = &drafts[t].segment;
         double length = segment->x_end - segment->x_start, reach = (length < 100 ? length : 100) + 40;
-        segment->beyond_ends = count_on_line(segment, segment->x_start - reach, segment->x_start - 2, &sorted, work) +
-                       count_on_line(segment, segment->x_end + 2, segment->x_end + reach, &sorted, work);
+        segment->before_start = count_on_line(segment, segment->x_start - reach, segment->x_start - 2, &sorted, work);
+        segment->after_end = count_on_line(segment, segment->x_end + 2, segment->x_end + reach, &sorted, work);
     }
     free(sorted.x);
     free(sorted.start);

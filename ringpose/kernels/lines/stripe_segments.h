@@ -16,7 +16,7 @@
     COLUMN(scatter)     /* standard deviation of the centres about the line */                                      \
     COLUMN(correlation) /* columns per independent one */                                                           \
     COLUMN(clipped)     /* 1 if an end lies at the border */                                                        \
-    COLUMN(beyond_ends) /* centres on the line beyond the ends */
+    COLUMN(before_start) COLUMN(after_end) /* centres on the line beyond the ends */
 ROW_STRUCT(Segment, SEGMENT_COLUMNS);
 
 /* Number of centres at either end of a segment that its line does not use. An edge that crosses the stripe obliquely cuts
