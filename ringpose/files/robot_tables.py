@@ -71,10 +71,11 @@ def read_tool_poses(
 
 def whole_motion(reported: ReportedPoses, source: str) -> RobotPoses:
     """The motion of the tool by the poses of a source in any order, each of which must have a stamp."""
-    if len(reported.poses) < 2:
+    poses = sorted(reported.poses, key=stamp_of)
+    if len(poses) < 2:
         location = _STDIN if source == STDIN else source
         raise DataError(location, "has fewer than two poses", "give the robot's poses at least ten times a second")
-    return motion_of(sorted(reported.poses, key=stamp_of), reported.repeats)
+    return motion_of(poses, reported.repeats)
 
 
 def _files(folder: Path) -> list[Path]:
