@@ -79,6 +79,7 @@ class BoardFailure(Enum):
     NO_CONTRAST = "nothing but noise is seen"
     FEW_MARKERS = "too few of the board's markers found"
     OTHER_MARKERS = "markers found, but not those of this board; is it the right board file"
+    TWICE = "markers are seen twice, as of a second board or of a reflection; leave one of them in view"
     MIRRORED = (
         "the image or the print is mirrored: its mirror image shows the board; turn the camera's flip off, or print "
         "the board anew"
@@ -206,6 +207,10 @@ def marker_failure(grey: GreyImage, board: Board, markers: Markers, own: Markers
         where = f", {outside} of the others are outside the image" if outside else ""
         finding = f"{len(own.ids)} of {wanted}{where}"
         return NoBoard(failure=BoardFailure.FEW_MARKERS, finding=finding, points_px=own.corners_px.reshape(-1, 2))
+    if len(np.unique(markers.ids)) < len(markers.ids):
+        return NoBoard(
+            failure=BoardFailure.TWICE, finding=_numbers(markers), points_px=markers.corners_px.reshape(-1, 2)
+        )
     if len(markers.ids):
         return NoBoard(failure=BoardFailure.OTHER_MARKERS, finding=_numbers(markers))
     other = _other_markers(grey)

@@ -174,6 +174,15 @@ def test_all_circles_without_their_rows_are_not_reported_as_missing(rng):
     assert finding.startswith("44 circles are seen, as many as the board has, but not in its 11 rows")
 
 
+@pytest.mark.parametrize("board", [GRID, CHARUCO, FOUR], ids=lambda board: board.kind)
+def test_two_boards_of_the_same_print_in_one_view_are_named(board):
+    image = drawn_board(board)
+    missing = find_board(np.ascontiguousarray(np.hstack([image, image])), board, "two")
+
+    assert missing.failure is BoardFailure.TWICE
+    assert len(missing.points_px) >= 8
+
+
 def test_markers_with_numbers_beyond_the_board_are_reported_as_other_markers():
     corner = covered(covered(drawn_board(GRID), slice(125), ALL, 198), ALL, slice(125), 198)  # leaves 4, 5
 
