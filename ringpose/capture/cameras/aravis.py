@@ -185,7 +185,7 @@ class AravisCamera(GenApiCamera):
             self._aravis.arv_stream_push_buffer(self._stream, buffer)
 
     def _lost_between(self, last: int, frame_id: int) -> int:
-        return blocks_between(last, frame_id) if frame_id <= 0xFFFF else frame_id - last - 1
+        return blocks_between(last, frame_id) if frame_id <= 0xFFFF else super()._lost_between(last, frame_id)
 
     def _loss_remedy(self) -> str:
         granted = granted_bytes()
