@@ -137,22 +137,22 @@ def detect(
     blank = blank_detection(view)
     if not view.images:
         return blank
-    found = ring_near_prediction(view, prior) or ring_in_whole_frames(view, prior, source)
-    view = found.view
-    seen = replace(blank, stripes=found.stripes, segments=found.segments, ghosts=view.ghosts)
+    search = ring_near_prediction(view, prior) or ring_in_whole_frames(view, prior, source)
+    view = search.view
+    seen = replace(blank, stripes=search.stripes, segments=search.segments, ghosts=view.ghosts)
     try:
-        named, visible, missing = visible_edges(found.judged(), found, view, source, wanted=edges)
+        named, visible, missing = visible_edges(search.judged(), search, view, source, wanted=edges)
         clear = confirmed(named, visible, view)
-        points = clear if source is StripeSource.SEGMENTS else with_repetition(clear, view, found.motion)
+        points = clear if source is StripeSource.SEGMENTS else with_repetition(clear, view, search.motion)
     except Stop as stop:
-        reason = explained(stop.reason, found.stripes, view)
+        reason = explained(stop.reason, search.stripes, view)
         return replace(seen, break_points=reason, advice=exposure_advice(reason, shot, view.images))
     return replace(
         seen,
         break_points=points,
         ring_edges=visible if edges else None,
-        ring=found.ring if np.array_equal(points.flags, found.judged().flags) else None,  # named as it was judged
-        rejected=(*found.rejected, *([Rejection(what="edge")] if edges and missing else [])),
+        ring=search.ring if np.array_equal(points.flags, search.judged().flags) else None,  # named as it was judged
+        rejected=(*search.rejected, *([Rejection(what="edge")] if edges and missing else [])),
         advice=exposure_advice(points, shot, view.images),
     )
 
@@ -169,8 +169,8 @@ def _detected_along_columns(shot: Shot, rig: Rig, prior: Prior, source: StripeSo
         background=turn.frame(prior.background),
         ghosts=turn.ghosts(prior.ghosts),
     )
-    found = detect(turn.shot(shot), rig_along_rows(rig), turned, source=source, edges=edges)
-    return to_columns(rig.camera).detection(found)
+    detection = detect(turn.shot(shot), rig_along_rows(rig), turned, source=source, edges=edges)
+    return to_columns(rig.camera).detection(detection)
 
 
 def shot_view(shot: Shot, rig: Rig, prior: Prior) -> View:
@@ -288,7 +288,7 @@ def _judged_ring(view: View, stripes: Stripes, unlabelled: Sequence[int]) -> Rin
 
 
 def visible_edges(
-    points: BreakPoints, found: RingSearch, view: View, source: StripeSource, *, wanted: bool
+    points: BreakPoints, search: RingSearch, view: View, source: StripeSource, *, wanted: bool
 ) -> tuple[BreakPoints, RingEdgePoints | None, bool]:
     """The break points with inner and outer edge resolved, the visible edges, and whether light should show them.
 
@@ -296,7 +296,7 @@ def visible_edges(
     """
     if source is StripeSource.SEGMENTS or (not wanted and ends_clear(points)):
         return points, None, False
-    edges = detect_ring_edges(points, view.shot, found.stripes, view.rig, view.assumptions, view.camera, found.motion)
+    edges = detect_ring_edges(points, view.shot, search.stripes, view.rig, view.assumptions, view.camera, search.motion)
     if isinstance(edges.break_points, NoBreakPoints):
         raise Stop(edges.break_points)
     return edges.break_points, edges.points, edges.missing
@@ -398,11 +398,11 @@ def _stripes_between_segments(images: Sequence[LaserImage]) -> tuple[Stripes, Se
     """
     from ringpose.detect.line_segments import stripes_between_segments
 
-    found = [stripes_between_segments(image.lit, image.dark) for image in images]
-    stripes = [_labelled(part, image) for (part, _), image in zip(found, images, strict=True)]
+    pairs = [stripes_between_segments(image.lit, image.dark) for image in images]
+    stripes = [_labelled(part, image) for (part, _), image in zip(pairs, images, strict=True)]
     segments = [
         replace(part, stamp_s=np.full(len(part.support), image.stamp_s))
-        for (_, part), image in zip(found, images, strict=True)
+        for (_, part), image in zip(pairs, images, strict=True)
     ]
     return _joined(stripes), _joined_segments(segments)
 
@@ -428,35 +428,35 @@ def _joined_segments(parts: list[Segments]) -> Segments:
     )
 
 
-def with_repetition(found: BreakPoints, view: View, motion: RingMotion | None = None) -> BreakPoints:
+def with_repetition(points: BreakPoints, view: View, motion: RingMotion | None = None) -> BreakPoints:
     """The break points, and as `repeated` those of a frame with several lasers on that shows the same stripes again.
 
     The stripes of that frame are searched and assigned to lasers near those found. What was not measured the first time
     is left out.
     """
     rig, image = view.rig, repeated_image(view.shot, view.images)
-    bands = None if image is None else predicted_bands(found, image.lasers, rig.camera)
+    bands = None if image is None else predicted_bands(points, image.lasers, rig.camera)
     if image is None or bands is None:
-        return found
+        return points
     image = image if motion is None else _without_moved_background(image, motion)
     search = partial(_stripes_in, camera=rig.camera, bands=bands)
     (image,), (stripes,), _ = without_ghosts([image], [search(image)], view.ghosts, view.ghosts_of_lasers, search)
     if not len(stripes.piece):
-        return found
-    stripes = replace(stripes, laser=_nearest_lasers(stripes, found, image.lasers, rig.camera))
+        return points
+    stripes = replace(stripes, laser=_nearest_lasers(stripes, points, image.lasers, rig.camera))
     segments = stripe_line_segments(stripes, rig.camera)
     face = ring_face(segments, (), rig)
     if face is None:
-        return found
+        return points
     again = break_points(face, segments, [image], rig, view.shot.saturation_dn)
-    far_px = np.nansum(np.abs(again.position_px - found.position_px))
-    if np.nansum(np.abs(again.position_px[:, ::-1] - found.position_px)) < far_px:
+    far_px = np.nansum(np.abs(again.position_px - points.position_px))
+    if np.nansum(np.abs(again.position_px[:, ::-1] - points.position_px)) < far_px:
         again = again.with_edges_exchanged()
     unclear = again.flags & int(BreakPointFlag.UNCLEAR | BreakPointFlag.CLIPPED) != 0
-    kept = found.seen & ~unclear & (np.abs(again.position_px - found.position_px).max(axis=-1) < BEYOND_ENDS_PX)
-    with_line = np.isfinite(found.face_start_undistorted_px)
+    kept = points.seen & ~unclear & (np.abs(again.position_px - points.position_px).max(axis=-1) < BEYOND_ENDS_PX)
+    with_line = np.isfinite(points.face_start_undistorted_px)
     return replace(
-        found,
+        points,
         repeated=replace(
             again,
             position_px=np.where(kept[..., None], again.position_px, np.nan),
@@ -474,10 +474,12 @@ NEAREST_SHARE = 0.3
 
 
 def _nearest_lasers(
-    stripes: Stripes, found: BreakPoints, lasers: Sequence[int], camera: Camera
+    stripes: Stripes, points: BreakPoints, lasers: Sequence[int], camera: Camera
 ) -> Int64[Array, "piece"]:
     """The laser of each piece by the nearest line on the face; `UNLABELLED` for those that are not clearly near one."""
-    lines = undistorted_rays(np.stack([found.face_start_undistorted_px, found.face_end_undistorted_px], axis=1), camera)
+    lines = undistorted_rays(
+        np.stack([points.face_start_undistorted_px, points.face_end_undistorted_px], axis=1), camera
+    )
     start, end = project(lines, camera).swapaxes(0, 1)
     count = len(stripes.laser)
     centers = np.bincount(stripes.piece, minlength=count)

@@ -183,12 +183,12 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
     may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
-    every, found, chords = ring_faces(
+    every, best_groups, chords = ring_faces(
         segments, unlabelled, planes_per_m(rig), _ring_params(rig.camera), UnionParams(), CandidateParams()
     )
     if chords.are_convincing:
         return _foremost(face_of_both_arcs(chords, every, rig), segments, rig)
-    groups: list[Group | None] = list(found)
+    groups: list[Group | None] = list(best_groups)
     best = best_hypothesis(groups)
     while best is not None and not _lengths_consistent(every[list(best.segments)], best.lasers, rig):
         groups = [None if group is best else group for group in groups]
@@ -219,16 +219,18 @@ def _with_further_lasers(
     Whether their ends lie on its circles is judged by the estimator. Neighbouring stripes of many lasers may fit when
     all of them are shifted by one: the assignment is ambiguous if another one leaves no more lasers without a segment.
     """
-    found = _segments_on_plane(face, segments, lasers, rig)
+    on_plane = _segments_on_plane(face, segments, lasers, rig)
     unlabelled = bool((face.segments[:, LASER] == UNLABELLED).any())
     count = len(rig.lasers.names)
     for shift in range(-count, count) if unlabelled else ():
         shifted = tuple(laser + shift for laser in face.lasers)
         if shift and set(shifted) <= set(lasers):
             other = _segments_on_plane(replace(face, lasers=shifted), segments, lasers, rig)
-            if len(other) >= len(found):
+            if len(other) >= len(on_plane):
                 return replace(face, ambiguous=True)
-    return replace(face, lasers=tuple(sorted(found)), segments=np.array([found[laser] for laser in sorted(found)]))
+    return replace(
+        face, lasers=tuple(sorted(on_plane)), segments=np.array([on_plane[laser] for laser in sorted(on_plane)])
+    )
 
 
 def _segments_on_plane(
@@ -237,23 +239,23 @@ def _segments_on_plane(
     """The segments of the face, and of each other laser the longest one on its plane; none if they have no plane."""
     ends_m, lengths_m, origin, normal = _plane_of(face.segments, face.lasers, rig)
     used = face.segments.tolist()
-    found = {
+    by_laser = {
         laser: row
         for laser, row in zip(face.lasers, used, strict=True)
         if _off_plane_px(row, laser, origin, normal, rig) < FURTHER_OFF_PX
     }
-    if len(found) < len(used) or float(ends_m[:, :, 2].min()) < DEPTH_RANGE_M[0]:
+    if len(by_laser) < len(used) or float(ends_m[:, :, 2].min()) < DEPTH_RANGE_M[0]:
         return {}
     for row in sorted(segments.tolist(), key=lambda row: -row[CENTERS]):
         for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
-            if laser in found or row in found.values():
+            if laser in by_laser or row in by_laser.values():
                 continue
             (own_m,) = _ends_m(np.array([row]), [laser], rig)
             as_long = max(lengths_m) / MAX_TO_SHORTEST < math.dist(*own_m) < MAX_TO_SHORTEST * min(lengths_m)
             in_front = own_m[:, 2].min() > DEPTH_RANGE_M[0]
             if in_front and as_long and _off_plane_px(row, laser, origin, normal, rig) < FURTHER_OFF_PX:
-                found[laser] = row
-    return found
+                by_laser[laser] = row
+    return by_laser
 
 
 def _off_plane_px(
@@ -507,7 +509,7 @@ def displaced_lasers(
         return face.displaced
     plane = _plane_of(face.segments, face.lasers, rig)
     shortest_m, longest_m = min(plane.lengths_m), max(plane.lengths_m)
-    found = list(face.displaced)
+    displaced = list(face.displaced)
     for laser in set(range(len(rig.lasers.names))).difference(face.lasers, face.displaced):
         own = _of_laser(others, laser, lasers)
         ends_m = _ends_m(own, [laser] * len(own), rig)
@@ -515,8 +517,8 @@ def displaced_lasers(
         near = np.abs(off_m).max(axis=1) < np.where(plane.alike(ends_m), ALIKE_DISPLACED_M, DISPLACED_M)
         as_long = (length_m > shortest_m / MAX_TO_SHORTEST) & (length_m < MAX_TO_SHORTEST * longest_m)
         if bool((as_long & near & plane.on_band(ends_m)).any()):
-            found.append(laser)
-    return tuple(sorted(found))
+            displaced.append(laser)
+    return tuple(sorted(displaced))
 
 
 def _ends_m(

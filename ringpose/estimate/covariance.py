@@ -154,33 +154,33 @@ def _outward_at(arcs: RingArcs, point_m: Float64[Array, "3"]) -> Float64[Array, 
     return unit
 
 
-def joint_covariance(estimate: Estimate, found: Quantities) -> Float64[Array, "15 15"]:
+def joint_covariance(estimate: Estimate, values: Quantities) -> Float64[Array, "15 15"]:
     """Joint covariance of the quantities, J N^-1 J^T, Eq. (5.10).
 
     The grasp point also moves along the face with the mean of the break points, whose errors change the ring, too:
     the step is -G (noise + B q), with the gain G = N^-1 (J^T W - J^T W B (1 + B^T W B)^-1 B^T W).
     """
-    covariance: Float64[Array, "15 15"] = found.jacobian @ estimate.inverse @ found.jacobian.T
+    covariance: Float64[Array, "15 15"] = values.jacobian @ estimate.inverse @ values.jacobian.T
     residuals, nuisance = estimate.residuals, estimate.nuisance
-    along = nuisance[:, : len(found.along_wrt_nuisance_m)] @ found.along_wrt_nuisance_m
+    along = nuisance[:, : len(values.along_wrt_nuisance_m)] @ values.along_wrt_nuisance_m
     ends = residuals.observations.view.ends
-    along[ends : ends + len(found.along_wrt_points_m)] += found.along_wrt_points_m
+    along[ends : ends + len(values.along_wrt_points_m)] += values.along_wrt_points_m
     weighted = along * estimate.weights
     if nuisance.shape[1]:
         cross_information = nuisance.T @ weighted
         information = (nuisance.T * estimate.weights) @ nuisance + np.eye(nuisance.shape[1])
         weighted -= estimate.weights * (nuisance @ np.linalg.solve(information, cross_information))
     step_with_along = -estimate.inverse @ (residuals.jacobian.T @ weighted)
-    with_along = np.outer(found.jacobian @ step_with_along, found.along)
+    with_along = np.outer(values.jacobian @ step_with_along, values.along)
     covariance[:, GRASP] += with_along
     covariance[GRASP] += with_along.T
-    variance = found.along_wrt_points_m @ found.along_wrt_points_m
-    variance += found.along_wrt_nuisance_m @ found.along_wrt_nuisance_m
-    covariance[GRASP, GRASP] += variance * np.outer(found.along, found.along)
+    variance = values.along_wrt_points_m @ values.along_wrt_points_m
+    variance += values.along_wrt_nuisance_m @ values.along_wrt_nuisance_m
+    covariance[GRASP, GRASP] += variance * np.outer(values.along, values.along)
     return 0.5 * (covariance + covariance.T)  # exactly symmetric, also for large variances
 
 
-def ring_velocity(estimate: Estimate, found: Quantities) -> RingVelocity | None:
+def ring_velocity(estimate: Estimate, values: Quantities) -> RingVelocity | None:
     """Velocity of the ring's centre and angular velocity across its normal, with their covariance; None if still.
 
     The rates are q = -M^-1 (B^T W r + C step) with M = 1 + B^T W B and C = B^T W J, so that their covariance is
@@ -195,7 +195,7 @@ def ring_velocity(estimate: Estimate, found: Quantities) -> RingVelocity | None:
     gain = (inverse @ (weighted @ estimate.residuals.jacobian))[:count]
     covariance = (inverse[:count, :count] + gain @ estimate.inverse @ gain.T) * scale[:, None] * scale
     to_basis = np.eye(count)  # angular velocities from the arcs' axes to the tilt basis of the normal
-    to_basis[3:, 3:] = found.basis @ estimate.arcs.axes[:2].T
+    to_basis[3:, 3:] = values.basis @ estimate.arcs.axes[:2].T
     covariance = to_basis @ covariance @ to_basis.T
     return RingVelocity(
         center_m_s=estimate.rates.velocity_m_s,
@@ -205,16 +205,19 @@ def ring_velocity(estimate: Estimate, found: Quantities) -> RingVelocity | None:
 
 
 def difference_from(
-    other: Estimate, other_found: Quantities, best: Estimate, found: Quantities
+    other: Estimate, other_values: Quantities, best: Estimate, values: Quantities
 ) -> Float64[Array, "15"]:
     """The quantities of another estimate minus those of the best one, in the order of the joint covariance."""
-    normal, basis = found.normal, found.basis
+    normal, basis = values.normal, values.basis
     difference = np.zeros(15)
-    difference[TILTS] = basis @ other_found.normal / float(other_found.normal @ normal)
-    difference[OFFSET] = other_found.normal @ other_found.center_m - normal @ found.center_m
-    difference[RADII] = other_found.radius_m - found.radius_m
-    difference[CENTER], difference[GRASP] = other_found.center_m - found.center_m, other_found.grasp_m - found.grasp_m
-    offset_m = float(normal @ found.center_m)
+    difference[TILTS] = basis @ other_values.normal / float(other_values.normal @ normal)
+    difference[OFFSET] = other_values.normal @ other_values.center_m - normal @ values.center_m
+    difference[RADII] = other_values.radius_m - values.radius_m
+    difference[CENTER], difference[GRASP] = (
+        other_values.center_m - values.center_m,
+        other_values.grasp_m - values.grasp_m,
+    )
+    offset_m = float(normal @ values.center_m)
     difference[CENTER_IN_PLANE] = basis @ difference[CENTER] - offset_m * difference[TILTS]
     difference[CURVATURE_OUT] = other.arcs.curvature - best.arcs.curvature
     difference[BAND_OUT] = 2.0 * (other.arcs.half_band_m - best.arcs.half_band_m)
@@ -227,20 +230,20 @@ DIFFERS = 4.0
 
 def differing_quantities(best: Estimate, other: Estimate) -> frozenset[str]:
     """Names of the quantities in which two explanations differ by more than the errors of the best one."""
-    found, others = quantities(best), quantities(other)
-    covariance = joint_covariance(best, found)
-    difference = difference_from(other, others, best, found)
+    values, others = quantities(best), quantities(other)
+    covariance = joint_covariance(best, values)
+    difference = difference_from(other, others, best, values)
     # the grasp points lie at different places along the face: how far the best one is from the other ring
-    height_m = float(others.normal @ (found.grasp_m - other.arcs.origin))
-    radial = edge_distances(other.arcs, (found.grasp_m / found.grasp_m[2])[None], np.zeros(1))
-    across = np.array([found.normal, found.outward])
+    height_m = float(others.normal @ (values.grasp_m - other.arcs.origin))
+    radial = edge_distances(other.arcs, (values.grasp_m / values.grasp_m[2])[None], np.zeros(1))
+    across = np.array([values.normal, values.outward])
     tested = {
         "center": (difference[CENTER], covariance[CENTER, CENTER]),
         "normal": (difference[TILTS], covariance[TILTS, TILTS]),
         "grasp": (np.array([height_m, float(radial.distance_m[0])]), across @ covariance[GRASP, GRASP] @ across.T),
         "radius": (difference[RADII], covariance[RADII, RADII]),
     }
-    velocity, of_other = ring_velocity(best, found), ring_velocity(other, others)
+    velocity, of_other = ring_velocity(best, values), ring_velocity(other, others)
     if velocity is not None and of_other is not None:
         change = of_other.center_m_s - velocity.center_m_s
         tested["velocity"] = (change, velocity.covariance[:3, :3])
@@ -255,27 +258,27 @@ def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) 
     return squared <= DIFFERS * len(difference)
 
 
-def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate, found: Quantities) -> float:
+def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate, values: Quantities) -> float:
     """Second-order shift of the centre towards the band when the ring tilts or turns by a standard deviation.
 
     Seen from the band the centre lies on a sphere: a tilt along `outward`, or a turn about the normal, by an angle a
     moves the centre out of the tangent plane by R a^2 / 2.
     """
     inward, tangent, _ = estimate.arcs.axes
-    tilt = found.basis @ inward
-    lever_m = abs(float(found.radius_m.mean()))
+    tilt = values.basis @ inward
+    lever_m = abs(float(values.radius_m.mean()))
     tilt_variance = tilt @ covariance[TILTS, TILTS] @ tilt
     turn_variance = tangent @ covariance[CENTER, CENTER] @ tangent / lever_m**2
     return 0.5 * lever_m * hypot(tilt_variance, turn_variance)
 
 
 def with_second_order(
-    covariance: Float64[Array, "15 15"], bias_m: float, estimate: Estimate, found: Quantities
+    covariance: Float64[Array, "15 15"], bias_m: float, estimate: Estimate, values: Quantities
 ) -> Float64[Array, "15 15"]:
     """The covariance with the second moment 3 bias^2 of the centre's second-order shift."""
     shift = np.zeros(len(covariance))
     shift[CENTER] = sqrt(3.0) * bias_m * estimate.arcs.axes[0]
-    shift[CENTER_IN_PLANE] = found.basis @ shift[CENTER]
+    shift[CENTER_IN_PLANE] = values.basis @ shift[CENTER]
     total: Float64[Array, "15 15"] = covariance + shift[:, None] * shift
     return total
 
@@ -306,21 +309,21 @@ POSE, RATES = slice(0, 7), slice(7, 12)
 """Columns of `MEASURED_PARAMETERS`."""
 
 
-def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantities) -> RingMeasurement:
+def ring_measurement(estimate: Estimate, measured: Measurements, values: Quantities) -> RingMeasurement:
     """The square root of the shot's own information on the twelve parameters and the common errors, at t_0.
 
     The correlated errors of visible edge points are noise of this shot alone: they are eliminated first, with their
     prior, as the leading columns of the QR factorization.
     """
     rows, arcs = estimate.residuals.data_rows, estimate.arcs
-    jacobian = _public_jacobian(estimate, found)[:rows]
+    jacobian = _public_jacobian(estimate, values)[:rows]
     errors = rig_errors(measured.rig, estimate.prior.assumptions.stability)
     if estimate.residuals.wrt_rates.size:
         wrt_rates = estimate.residuals.wrt_rates[:rows].copy()
-        wrt_rates[:, 3:] = wrt_rates[:, 3:] @ arcs.axes[:2] @ found.basis.T
+        wrt_rates[:, 3:] = wrt_rates[:, 3:] @ arcs.axes[:2] @ values.basis.T
     else:  # of a ring that is assumed to be still, a rate moves it by (t - t_0) times its derivative, Eq. (8.2)
         time_s = measured.times_s(measured.stamp_s)
-        wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(found.normal, found.center_m, found.basis))
+        wrt_rates = time_s[:, None] * (jacobian @ public_wrt_rates(values.normal, values.center_m, values.basis))
     empty = np.zeros((rows, 0))
     wrt_rig = empty if estimate.fixed.rig is None else estimate.fixed.rig[:rows]
     wrt_form = empty if estimate.fixed.form is None else estimate.fixed.form[:rows]
@@ -340,10 +343,10 @@ def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantiti
     triangle = np.linalg.qr(np.concatenate([prior, whitened]), mode="r")
     return RingMeasurement(
         linearized_at=LinearizationPoint(
-            center_m=found.center_m,
-            normal=found.normal,
-            radius_inner_m=float(found.radius_m[0]),
-            radius_outer_m=float(found.radius_m[1]),
+            center_m=values.center_m,
+            normal=values.normal,
+            radius_inner_m=float(values.radius_m[0]),
+            radius_outer_m=float(values.radius_m[1]),
             velocity_m_s=estimate.rates.velocity_m_s,
             rate_rad_s=estimate.rates.rate_rad_s,
         ),
@@ -360,7 +363,7 @@ def ring_measurement(estimate: Estimate, measured: Measurements, found: Quantiti
     )
 
 
-def prior_rows(estimate: Estimate, prior: Prior, found: Quantities) -> Float64[Array, "row 13"] | None:
+def prior_rows(estimate: Estimate, prior: Prior, values: Quantities) -> Float64[Array, "row 13"] | None:
     """The rows [J, z - h] of the weak priors, in the twelve parameters; None without weak priors.
 
     The rows of assumed radii, which the record states separately, come first and are left out.
@@ -369,14 +372,16 @@ def prior_rows(estimate: Estimate, prior: Prior, found: Quantities) -> Float64[A
     first = estimate.residuals.data_rows + radii
     if first == len(estimate.residuals.residual):
         return None
-    jacobian = -_public_jacobian(estimate, found)[first:]
+    jacobian = -_public_jacobian(estimate, values)[first:]
     residual = estimate.residuals.residual[first:, None]
     return np.concatenate([jacobian, np.zeros((len(jacobian), len(MEASURED_PARAMETERS) - 7)), residual], axis=1)
 
 
-def _public_jacobian(estimate: Estimate, found: Quantities) -> Float64[Array, "row parameter=7"]:
+def _public_jacobian(estimate: Estimate, values: Quantities) -> Float64[Array, "row parameter=7"]:
     """Derivatives of the residuals by the seven parameters of a pose."""
-    jacobian: Float64[Array, "row parameter=7"] = np.linalg.solve(found.jacobian[:7].T, estimate.residuals.jacobian.T).T
+    jacobian: Float64[Array, "row parameter=7"] = np.linalg.solve(
+        values.jacobian[:7].T, estimate.residuals.jacobian.T
+    ).T
     return jacobian
 
 

@@ -322,10 +322,10 @@ def _explained(
     for hypothesis in hypotheses:
         if hypothesis.penalty > lowest + MORE_CLEARLY:  # of this one and all that follow
             break
-        found = solved(hypothesis)
-        if found is not None:
-            tried.append(found)
-            lowest = min(lowest, found.score)
+        other = solved(hypothesis)
+        if other is not None:
+            tried.append(other)
+            lowest = min(lowest, other.score)
     if everything is None and not tried:
         return None
 
@@ -345,14 +345,14 @@ def _with_form(best: Solved, search: Search) -> Solved:
     if not search.for_pose or hypothesis.findings & (WIDER | Finding.UNEXPLAINED):
         return best
     deviation_m = max(WIDER_BY * hypothesis.prior.assumptions.ring_tolerance_m, MIN_DEVIATION_M)
-    found = best
-    while deviation_m <= MAX_DEVIATION_M and _contradicts_form(found, deviation_m):
+    widened = best
+    while deviation_m <= MAX_DEVIATION_M and _contradicts_form(widened, deviation_m):
         wider = with_deviation(hypothesis, deviation_m)
         again = estimate_ring(wider.measured, wider.prior, estimate, tolerance_sigmas=search.tolerance_sigmas)
         if again is None:
             break
-        found, deviation_m = Solved(wider, again), 2.0 * deviation_m
-    return found
+        widened, deviation_m = Solved(wider, again), 2.0 * deviation_m
+    return widened
 
 
 def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
@@ -468,15 +468,15 @@ def _single_stripes(solved: Solved) -> list[Solved]:
     if len(set(measured.points.laser[measured.points.opposite].tolist())) == STRIPES_OF_A_PLANE:
         return []  # four more ends on the same circles
     measured = measured.once().of_one_arc()
-    found = []
+    explanations = []
     assumptions = solved.hypothesis.prior.assumptions
     for laser, alone, estimate in single_stripe_estimates(measured, assumptions):
         if edges_contradict or ring_evidence(estimate, measured, laser) < COINCIDENCE:
             rejected = (Rejection(what="stripe", laser=measured.rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
             hypothesis = Hypothesis(alone, prior, Finding.WRONG_STRIPE, rejected=rejected, laser=laser)
-            found.append(Solved(hypothesis, estimate))
-    return found
+            explanations.append(Solved(hypothesis, estimate))
+    return explanations
 
 
 def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int], Solved | None]) -> Solved | None:

@@ -281,10 +281,10 @@ class Prior(NamedTuple):
         if self.single_edge:
             half_band = (arcs.half_band_m - EXPECTED_HALF_BAND_M) / HALF_BAND_SD_M
             rows.append((half_band, {HALF_BAND: 1.0 / HALF_BAND_SD_M}))
-        found = np.zeros((len(rows), 1 + at.stripes.y_wrt_step.shape[1]))
-        for row, (value, derivatives) in zip(found, rows, strict=True):
+        table = np.zeros((len(rows), 1 + at.stripes.y_wrt_step.shape[1]))
+        for row, (value, derivatives) in zip(table, rows, strict=True):
             row[0], row[1:][list(derivatives)] = value, list(derivatives.values())
-        return found
+        return table
 
 
 # The linearised problem
