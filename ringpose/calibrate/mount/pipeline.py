@@ -110,7 +110,7 @@ class MountCalibration:
     @property
     def is_delay_known(self) -> bool:
         """Whether the views tell more about the delay than its bounds do."""
-        return self.open_delay is None and self.delay_sd_s < 0.5 * DELAY_PRIOR_S
+        return self.open_delay is None and bool(self.delay_sd_s < 0.5 * DELAY_PRIOR_S)
 
     @property
     def speeds(self) -> tuple[float, float]:
