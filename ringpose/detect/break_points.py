@@ -127,6 +127,9 @@ def _on_arc(
         if image.left_out is not None:
             hidden |= beside_left_out(ends.position_px, image, image.left_out, KINK_LEVEL)
     flags = np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0) | np.where(hidden, int(BreakPointFlag.UNCLEAR), 0)
+    for laser, segment in zip(face.lasers, face.segments, strict=True):
+        if not (segments == segment).all(axis=1).any():  # several of them on one line
+            flags[laser] |= int(BreakPointFlag.INTERRUPTED)
     points = BreakPoints(
         position_px=np.where(hidden[..., None], np.nan, ends.position_px),
         covariance_px2=np.where(hidden[..., None, None], np.nan, ends.covariance_px2),

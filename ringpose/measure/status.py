@@ -386,7 +386,9 @@ def seen_lasers(
             expected = inside[laser] if used[laser].any() else ~clipped  # a line without ends lies in the image
             missing = expected & ~used[laser]
             findings |= _why_missing(break_points.flags[laser, missing].tolist())
-            state = LaserState.PARTLY if missing.any() or mine else LaserState.USED
+            whole = not (break_points.flags[laser] & int(BreakPointFlag.INTERRUPTED)).any()
+            contribution = LaserState.USED if whole else LaserState.INTERRUPTED
+            state = LaserState.PARTLY if missing.any() or mine else contribution
         elif mine or break_points.of_lasers[laser]:
             state, findings = LaserState.REJECTED, findings | Finding.STRIPE_UNUSED
         elif share[laser] >= SEEN_SHARE:

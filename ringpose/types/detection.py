@@ -42,6 +42,8 @@ class BreakPointFlag(IntFlag):
     that could not be measured, as where its columns are saturated, has this flag and no position."""
     BESIDE_OCCLUDER = 128
     """A stripe of the same laser on a surface in front of the face begins beside the end, which may be occluded."""
+    INTERRUPTED = 256
+    """The stripe has a gap between its ends: something stands on the face, over it, or is missing from it."""
 
 
 class NoBreakPoints(Enum):
@@ -89,7 +91,8 @@ class BreakPoints:
             "stripe fades more slowly than by the optical blur, as on a chamfer; the covariance includes the unknown "
             "position of the sharp edge), 64 (its standard deviation exceeds 0.75 px because of noise, a glint or "
             "foil, or it could not be measured: null), 128 (a stripe of the same laser on a surface in front of the "
-            "face begins beside the end, which may be occluded).",
+            "face begins beside the end, which may be occluded), 256 (the stripe has a gap between its ends: a bolt, a "
+            "cable, a piece of the face that is missing).",
             least=0,
         ),
     ]

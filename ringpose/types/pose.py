@@ -426,6 +426,8 @@ class LaserState(StrEnum):
     """Contribution of a laser's stripe to a pose."""
 
     USED = "used"
+    INTERRUPTED = "interrupted"
+    """Used, with both break points; something stands on the face or over it, or a piece of the face is missing."""
     PARTLY = "partly"
     """One or both of its break points that should be in view were rejected or not found."""
     REJECTED = "rejected"
@@ -536,7 +538,8 @@ class PoseLine:
     lasers: Annotated[
         Mapping[str, Annotated[LaserState, Key(grows=True)]],
         Key(
-            "For each laser, by name, what its stripe contributed: `used`; `partly` (a break point that should be in "
+            "For each laser, by name, what its stripe contributed: `used`; `interrupted` (used, with a gap between its "
+            "ends, as by a bolt or a cable); `partly` (a break point that should be in "
             "view was rejected or not found); `rejected`; `not_seen` (the stripe should be in view but was not found); "
             "`out_of_view` (by rig and ring it lies outside the image, which is no fault).",
         ),

@@ -7,6 +7,7 @@ from ringpose.files.images.shots import read_shot
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.measure.stream import Setup
+from ringpose.types.pose import LaserState
 
 
 @pytest.mark.parametrize(("kind", "laser"), [("gap", "right"), ("cable", "middle")])
@@ -31,5 +32,15 @@ def test_bolts_on_all_stripes_interrupt_them(shared_data):
     line = setup.line(setup.detection(read_shot(folder / "shots" / f"{name}.npz")))
 
     assert line.status == "ok"
+    assert set(line.lasers.values()) == {LaserState.INTERRUPTED}
     off_m = line.pose.center_m - truth.center_m
     assert off_m @ np.linalg.solve(line.pose.covariance_center_m2, off_m) < 16.3  # one in a thousand
+
+
+def test_a_groove_interrupts_the_stripe_that_crosses_it_and_no_other(shared_data):
+    folder, name = shared_data / "rendered" / "surfaces_b", "W_groove_B500_dim_sw"
+    setup = Setup(rig=read_rig(folder / "rig.yaml"))
+
+    line = setup.line(setup.detection(read_shot(folder / "shots" / f"{name}.npz")))
+
+    assert line.lasers == {"left": LaserState.USED, "middle": LaserState.INTERRUPTED, "right": LaserState.USED}
