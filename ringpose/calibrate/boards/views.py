@@ -112,6 +112,8 @@ def _marker_view(grey: GreyImage, board: Board, name: str) -> BoardView | diagno
         ids = corner_numbers(board)[own.ids].ravel()
     if board.kind == "aprilgrid":
         corners_px = _april_corners(grey, board, own)
+        # The detected outlines end short of the corners, where small squares touch them, by up to a twentieth.
+        own = replace(own, corners_px=corners_px.reshape(-1, 4, 2))
     elif board.kind != "charuco":
         refined = [corners_from_sides(grey, corners) for corners in own.corners_px]
         corners_px = np.reshape([one.points_px for one in refined], (-1, 2)).astype(np.float64)

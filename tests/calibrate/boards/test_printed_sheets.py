@@ -186,3 +186,12 @@ def test_a_marker_of_another_board_beside_it_does_not_make_the_board_larger(rng)
     found = find_board(image, BOARDS["aprilgrid"], "two boards")
 
     assert len(found.ids) > 60
+
+
+def test_the_marker_size_of_an_aprilgrid_is_that_between_its_corners(rng):
+    board = BOARDS["aprilgrid"]
+    image, _ = photograph(board, "far, from below", rng)
+    wider = replace(board, marker_m=0.037, gap_m=0.007)
+
+    assert find_board(image, board, "true").marker_size_ratio == pytest.approx((1.0, 1.0), abs=0.02)
+    assert find_board(image, wider, "wider").marker_size_ratio == pytest.approx((0.919, 0.919), abs=0.02)
