@@ -252,10 +252,15 @@ def _progress(*columns: Any) -> "Progress":
 def _counted(items: Iterable[Item], what: str) -> Iterator[Item]:
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
+    shares_terminal = sys.stdout is not None and sys.stdout.isatty()
     with _progress(SpinnerColumn(), TextColumn("{task.completed:.0f} " + what), TimeElapsedColumn()) as progress:
         task = progress.add_task(what, total=None)
         for item in items:
+            if shares_terminal:  # else the line of a result continues that of the progress
+                progress.stop()
             yield item
+            if shares_terminal:
+                progress.start()
             progress.advance(task)
 
 

@@ -1,10 +1,12 @@
 """Pipes and signals, with the command as a process of its own."""
 
+import contextlib
 import fcntl
 import inspect
 import json
 import os
 import pty
+import re
 import signal
 import termios
 from pathlib import Path
@@ -321,6 +323,25 @@ def test_progress_goes_to_a_terminal_and_leaves_the_records_alone(forked, rig, d
 
     assert "shots" in said
     assert [json.loads(line)["shot"] for line in out.splitlines()] == ["a", "b", "c"]
+
+
+def test_rows_on_the_terminal_of_the_progress_stand_on_lines_of_their_own(started, rig, detections, monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    terminal, end = pty.openpty()
+    with started("pose", detections, "--rig", rig, stdout=end, stderr=end) as process:
+        os.close(end)
+        said = b""
+        with contextlib.suppress(OSError):  # the terminal is closed
+            while part := os.read(terminal, 1 << 16):
+                said += part
+        process.wait(DEADLINE_S)
+    os.close(terminal)
+
+    # what a line shows is what stands behind the last return to its beginning, or the last erasing of it
+    rows = [re.split(r"\r|\x1b\[2K", row.rstrip("\r"))[-1] for row in said.decode().split("\n")]
+    shown = [re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", row) for row in rows]
+    assert [row.split()[0] for row in shown if re.match(r"[abc] ", row)] == ["a", "b", "c"]
+    assert [row.split()[0] for row in shown if "grasp point" in row or "status" in row] == ["grasp", "shot"]
 
 
 def test_closed_stdout_is_one_line(started, rig, detections):
