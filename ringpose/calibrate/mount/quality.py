@@ -218,11 +218,12 @@ def mount_summary(calibration: MountCalibration, verdict: Verdict) -> list[str]:
 
 def _delay_line(calibration: MountCalibration) -> str:
     speed_m_s, rate_rad_s = calibration.speeds
-    offset = f"{1e3 * calibration.solution.state.delay_s:.2f} ± {1e3 * calibration.delay_sd_s:.2f} ms"
+    delay_ms = round(1e3 * calibration.solution.state.delay_s, 2)
+    offset = f"{'-' if delay_ms < 0.0 else '+'} {abs(delay_ms):.2f} ± {1e3 * calibration.delay_sd_s:.2f} ms"
     motion = f"up to {1e3 * speed_m_s:.3g} mm/s and {degrees(rate_rad_s):.2g} degrees/s at the views"
     if calibration.is_delay_known:
         scatter = f"the stamps of the images scatter by {1e3 * calibration.solution.stamp_sd_s:.2f} ms"
-        return f"the robot's stamps are those of the camera + {offset}, {scatter}; it moves by {motion}"
+        return f"the robot's stamps are those of the camera {offset}, {scatter}; it moves by {motion}"
     why = "hardly moves" if calibration.open_delay is not None else "moves alike at all views, as with another mount"
     return f"the offset of the robot's stamps is not determined, {offset}: the robot {why} ({motion})"
 
