@@ -226,21 +226,20 @@ def limits(probability: float) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("arm", "views", "systematic"),
-    [(ARM, 8, 1.0), (ARM, 15, 1.0), (ARM, 15, 2.0), (ARM, 20, 1.0), (OFFSET_WRIST, 8, 1.0), (SCARA, 12, 1.0)],
-    ids=["8", "15", "15, a millimetre", "20", "offset wrist, 8", "SCARA, 12"],
+    [(ARM, 8, 1.0), (ARM, 15, 2.0), (OFFSET_WRIST, 8, 1.0), (SCARA, 12, 1.0)],
+    ids=["8", "15, a millimetre", "offset wrist, 8", "SCARA, 12"],
 )
 def test_the_nees_with_systematic_errors_is_in_its_band(arm, views, systematic, rng):
     """Errors of half a millimetre, or twice of that."""
     nees = nees_of(rng, arm, views, systematic)
 
-    # the variances are estimated: the tails of a session's NEES are longer than chi-squared's
+    # the variances are estimated, with a prior of their ratio that fits no arm exactly
     assert np.sum(nees > limits(0.99)[1]) <= 1
-    assert np.all(nees < limits(0.9999)[1])
-    assert np.all(nees > 0.5)
+    assert np.all((nees > 0.5) & (nees < 1.4))
 
 
 @pytest.mark.slow
 def test_the_covariance_of_an_arm_that_only_repeats_badly_is_at_most_somewhat_too_large(rng):
-    nees = nees_of(rng, ARM, 15, 0.0)
+    nees = nees_of(rng, ARM, 12, 0.0)
 
     assert np.all((nees > 0.6) & (nees < limits(0.99)[1]))
