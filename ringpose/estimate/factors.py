@@ -127,11 +127,14 @@ class PointFactor(Factor):
     isolated: Int64[Array, "isolated"]
     """The points without a line."""
 
+    def of_points(self, samples: Float64[Array, "sample *axis"]) -> Float64[Array, "point *axis"]:
+        """The points' part of values by sample of a stripe, which is the last; there may be no points."""
+        return samples[len(samples) - len(self.sigma_x) :]
+
     def rate(self, at: RingPrediction) -> Float64[Array, "point"]:
         """Derivative of the distance from the edge along the predicted line."""
-        count = len(self.sigma_x)
-        wrt_ray = at.edges.wrt_ray[:count]
-        rate = wrt_ray[:, 0] + at.stripes.slope[-count:] * wrt_ray[:, 1]
+        wrt_ray = at.edges.wrt_ray[: len(self.sigma_x)]
+        rate = wrt_ray[:, 0] + self.of_points(at.stripes.slope) * wrt_ray[:, 1]
         return np.where(np.abs(rate) < MIN_RATE, MIN_RATE, rate)
 
     def scale(self, at: RingPrediction) -> Float64[Array, "point"]:
@@ -148,7 +151,7 @@ class PointFactor(Factor):
             return residual, Derivatives(*along)
         # the height above the predicted line, less what the error of the abscissa leads to expect
         which, (share, scale_y) = self.isolated, self.ordinate_weights(at)
-        height = (self.y - at.stripes.rays[-count:, 1])[which]
+        height = (self.y - self.of_points(at.stripes.rays)[:, 1])[which]
         across = (-scale_y * (1.0 + share * wrt_y[which]))[:, None], (-scale_y * share)[:, None]
         residual = np.concatenate([residual, scale_y * (height - share * distance_m[which])])
         return residual, Derivatives(*[np.concatenate(both) for both in zip(along, across, strict=True)])
@@ -156,7 +159,7 @@ class PointFactor(Factor):
     def wrt_ray(self, at: RingPrediction) -> Float64[Array, "row xy=2"]:
         """A displacement along the predicted line changes the distance, one across it the height."""
         rate, which, (share, scale_y) = self.rate(at), self.isolated, self.ordinate_weights(at)
-        slope = at.stripes.slope[-len(rate) :][which]
+        slope = self.of_points(at.stripes.slope)[which]
         by_x = np.concatenate([self.scale(at) * rate, -scale_y * (slope + share * rate[which])])
         return np.stack([by_x, np.concatenate([np.zeros(len(rate)), scale_y])], axis=1)
 
@@ -168,7 +171,7 @@ class PointFactor(Factor):
         the standard deviation 1 / scale.
         """
         which = self.isolated
-        covariance, slope = self.covariance[which], at.stripes.slope[-len(self.sigma_x) :][which]
+        covariance, slope = self.covariance[which], self.of_points(at.stripes.slope)[which]
         xx, xy, yy = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
         cross_covariance = xy - slope * xx
         remainder = yy - 2.0 * slope * xy + slope**2 * xx - cross_covariance**2 / xx

@@ -81,3 +81,13 @@ def test_without_the_further_kind_the_estimate_is_as_before(measured):
 
     np.testing.assert_allclose(again.arcs.origin, without.arcs.origin, rtol=1e-12)
     np.testing.assert_allclose(again.inverse, without.inverse, rtol=1e-9)
+
+
+def test_a_stripe_without_break_points_has_no_rows_of_points(measured):
+    at, points = estimate_ring(measured, Prior()).residuals.at, measured.observations.points
+    by_row = ("stamp_s", "opposite", "edge", "sigma_x", "y", "covariance", "isolated")
+    none = replace(points, **{name: getattr(points, name)[:0] for name in by_row})
+
+    residual, _ = none.residuals(at)
+    assert (len(residual), len(none.rate(at)), len(none.wrt_ray(at))) == (0, 0, 0)
+    assert [len(each) for each in none.ordinate_weights(at)] == [0, 0]
