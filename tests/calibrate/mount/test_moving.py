@@ -219,7 +219,7 @@ def test_a_tool_that_always_moves_alike_makes_the_delay_part_of_the_mount(rng):
 @pytest.mark.slow
 def test_the_nees_of_mount_and_delay_is_in_its_band(rng):
     """Over delays, rates of the poses, qualities of the robot and of the stamps, and both places of the camera."""
-    runs, of_mount, of_delay = 24, [], []
+    runs, of_mount, of_delay = 12, [], []
     for run in range(runs):
         eye_to_hand = bool(run % 2)
         seen = seen_by_a_moving_robot(
