@@ -28,8 +28,8 @@ from ringpose.errors import RingposeError as RingposeError
 from ringpose.files import boards, records, rigs
 from ringpose.files.cameras import formats
 from ringpose.files.images import shots as shot_files
-from ringpose.files.records.poses import pose_line_of, pose_record
-from ringpose.files.records.tracks import track_record
+from ringpose.files.records.poses import pose_line_of
+from ringpose.files.records.tracks import line_record
 from ringpose.files.scenes import scene as scene_files
 from ringpose.measure.stream import Measured as Measured
 from ringpose.measure.stream import Setup as Setup
@@ -91,9 +91,7 @@ def read_pose_lines(path: File) -> Iterator[PoseLine]:
 
 def record_of(line: PoseLine | TrackLine) -> dict[str, Any]:
     """The JSON record of a line, as `ringpose pose` and `ringpose track` write it; NaN becomes null (None)."""
-    return records.parsed_record(
-        records.line_of(pose_record(line) if isinstance(line, PoseLine) else track_record(line)), "the line"
-    )
+    return records.parsed_record(records.line_of(line_record(line)), "the line")
 
 
 def detect_ring(shot: Shot, rig: Rig, options: AssumptionOptions = USUAL) -> Detection:

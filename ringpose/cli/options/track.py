@@ -103,13 +103,9 @@ class LineOptions:
             from ringpose.files.records.ros import ros_messages
 
             return partial(ros_messages, frame_id=self.frame_id)
-        from ringpose.files.records.poses import pose_record
-        from ringpose.files.records.tracks import track_record
-        from ringpose.types.pose import PoseLine
+        from ringpose.files.records.tracks import line_record
 
-        return lambda line: (
-            pose_record(line, self.brief) if isinstance(line, PoseLine) else track_record(line, self.brief)
-        )
+        return partial(line_record, brief=self.brief)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 from ringpose.files.records.codec import RecordType
-from ringpose.files.records.poses import status_rules
+from ringpose.files.records.poses import pose_record, status_rules
 from ringpose.files.schema import TRACK_LINE
 from ringpose.types.pose import PoseLine
 from ringpose.types.track import TrackLine
@@ -23,6 +23,11 @@ RECORD = RecordType(
 def track_record(line: TrackLine, brief: bool = False) -> dict[str, Any]:
     """The record; with `brief` without `attempts` and `log_evidence`."""
     return RECORD.write(line, brief)
+
+
+def line_record(line: PoseLine | TrackLine, brief: bool = False) -> dict[str, Any]:
+    """The record of a pose line or of a line of a track."""
+    return pose_record(line, brief) if isinstance(line, PoseLine) else track_record(line, brief)
 
 
 def pose_line_of_track(record: Mapping[str, Any], location: str) -> PoseLine:
