@@ -11,10 +11,13 @@ from ringpose.cli.app import app
 SchemaName = Annotated[
     str | None, typer.Argument(metavar="NAME", help="Name of a kind of record; without it they are listed.")
 ]
+Cpp = Annotated[
+    bool, typer.Option("--cpp", help="Print a C++17 header instead that reads the lines of pose and track.")
+]
 
 
 @app.command()
-def schema(name: SchemaName = None) -> None:
+def schema(name: SchemaName = None, cpp: Cpp = False) -> None:
     """Print the JSON Schema of a record, or the names of all."""
     import json
 
@@ -23,7 +26,13 @@ def schema(name: SchemaName = None) -> None:
     from ringpose.files.schema import hint
 
     schemas = json_schemas()
-    if name is None:
+    if cpp:
+        from ringpose.files.cpp_header import LINES, cpp_header
+
+        if name is not None:
+            raise UsageError("--cpp", f"is one header for {' and '.join(LINES)}", "leave out NAME")
+        records.write_text(cpp_header({line: schemas[line]() for line in LINES}))
+    elif name is None:
         records.write_text("".join(f"{each}\n" for each in schemas))
     elif name in schemas:
         records.write_text(json.dumps(schemas[name](), indent=2) + "\n")

@@ -6,6 +6,7 @@ import pytest
 from schemas import SCHEMAS
 
 from ringpose.cli.main import main
+from ringpose.files.cpp_header import cpp_header
 
 
 def test_without_a_name_the_names_are_listed(capsys):
@@ -27,3 +28,15 @@ def test_an_unknown_name_is_wrong_usage(capsys):
     streams = capsys.readouterr()
     assert (streams.out, streams.err.count("\n")) == ("", 1)
     assert "did you mean 'detection'?" in streams.err
+
+
+def test_the_cpp_header_is_that_of_the_schemas(capsys):
+    assert main(["schema", "--cpp"]) == 0
+
+    assert capsys.readouterr().out == cpp_header(SCHEMAS)
+
+
+def test_the_cpp_header_has_no_name(capsys):
+    assert main(["schema", "--cpp", "pose"]) == 2
+
+    assert "--cpp: is one header for pose and track; leave out NAME" in capsys.readouterr().err
