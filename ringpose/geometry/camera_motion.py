@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.ring import CameraDisplacements, rotation_by
-from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vector, skew
-from ringpose.types.arrays import Array, Float64
+from ringpose.geometry.ring import GENERATORS, IDENTITY, CameraDisplacements, rotation_by
+from ringpose.geometry.rotations import SMALL_ANGLE, rotation_vectors, skew
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.options import PoseFrame
 from ringpose.types.rig import MOUNT_PARAMETERS, Mount, RobotPoses
 
@@ -45,13 +45,26 @@ class CameraState(NamedTuple):
         return matrix
 
 
-class _ToolState(NamedTuple):
-    """Where the tool is at one instant and how it moves, in the base frame."""
+class ToolStates(NamedTuple):
+    """Where the tool is at some instants and how it moves, in the base frame."""
 
-    rotation: Float64[Array, "3 3"]
-    position_m: Float64[Array, "xyz=3"]
-    velocity_m_s: Float64[Array, "xyz=3"]
-    rate_rad_s: Float64[Array, "xyz=3"]
+    rotation: Float64[Array, "*instant 3 3"]
+    position_m: Float64[Array, "*instant xyz=3"]
+    velocity_m_s: Float64[Array, "*instant xyz=3"]
+    rate_rad_s: Float64[Array, "*instant xyz=3"]
+
+
+class _Intervals(NamedTuple):
+    """The poses of the robot before and after some instants."""
+
+    time_s: Float64[Array, "instant"]
+    """The instants in the robot's time."""
+    after: Int64[Array, "instant"]
+    """Indices of the poses that end the intervals."""
+    length_s: Float64[Array, "instant"]
+    turn_rad: Float64[Array, "instant 3"]
+    """Rotation vector of the tool from one pose to the other, tool frame."""
+    shift_m: Float64[Array, "instant 3"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -73,7 +86,7 @@ class CameraMotion:
         if self.is_at_rest:
             root = np.pad(mount.root, ((0, 0), (0, len(MOUNT_PARAMETERS) - 6)))
             return CameraState(in_carrier[:3, :3], in_carrier[:3, 3], np.zeros(3), np.zeros(3), root)
-        tool = self._tool_at(stamp_s)
+        tool = self.tool_at(stamp_s)
         if tool is None:
             return None
         lever_m = tool.rotation @ in_carrier[:3, 3]
@@ -104,7 +117,7 @@ class CameraMotion:
         if frame is PoseFrame.BASE:
             state = self.at(stamp_s)
             return None if state is None else (state.base_from_camera, state.displacement_root)
-        tool = self._tool_at(stamp_s)
+        tool = self.tool_at(stamp_s)
         if tool is None:
             return None
         back, base_from_camera = tool.rotation.T, self.mount.carrier_from_camera
@@ -120,26 +133,30 @@ class CameraMotion:
         ])  # fmt: skip
         return matrix, root
 
-    def _tool_at(self, stamp_s: float) -> "_ToolState | None":
-        """The tool at a stamp of the camera's clock; None if the robot's poses do not cover it.
+    def tool_at(self, stamp_s: float) -> ToolStates | None:
+        """The tool at a stamp of the camera's clock; None if the robot's poses do not cover it."""
+        tools, is_covered = self.tools_at(np.array([stamp_s]))
+        return ToolStates(*(each[0] for each in tools)) if is_covered[0] else None
+
+    def tools_at(self, stamp_s: Float64[Array, "instant"]) -> tuple[ToolStates, Bool[Array, "instant"]]:
+        """The tool at those stamps that the robot's poses cover, and which these are.
 
         Between two poses the tool moves at a constant twist: T(s) = T_0 exp(s log(T_0^-1 T_1)) on SE(3).
         """
-        poses = self.poses
-        if self._why_no_tool_at(stamp_s):
-            return None
-        time_s, after = self._interval(stamp_s)
-        first_s, interval_s = poses.stamp_s[after - 1], poses.stamp_s[after] - poses.stamp_s[after - 1]
-        rotation, position_m = poses.rotation[after - 1], poses.position_m[after - 1]
-        turn_rad, shift_m = self._twist(after)
-        share = (time_s - first_s) / interval_s
+        poses, around = self.poses, self._intervals(stamp_s)
+        is_covered = np.asarray(~self._failures(around).any(axis=0))
+        time_s, after, interval_s, turn_rad, shift_m = (each[is_covered] for each in around)
+        share = ((time_s - poses.stamp_s[after - 1]) / interval_s)[:, None]
+        rotation = poses.rotation[after - 1]
         base_from_tool = rotation @ rotation_by(share * turn_rad)
-        return _ToolState(
+        moved_m = left_jacobian(share * turn_rad) @ (share * shift_m)[..., None]
+        tools = ToolStates(
             base_from_tool,
-            position_m + rotation @ (left_jacobian(share * turn_rad) @ (share * shift_m)),
-            base_from_tool @ shift_m / interval_s,
-            base_from_tool @ turn_rad / interval_s,
+            poses.position_m[after - 1] + (rotation @ moved_m)[..., 0],
+            (base_from_tool @ shift_m[..., None])[..., 0] / interval_s[:, None],
+            (base_from_tool @ turn_rad[..., None])[..., 0] / interval_s[:, None],
         )
+        return tools, is_covered
 
     def going_on_until(self, stamp_s: float) -> "CameraMotion":
         """The motion with further poses up to a stamp, as if the robot continued at its last twist.
@@ -152,14 +169,14 @@ class CameraMotion:
         missing_s = stamp_s + self.mount.delay_s - float(poses.stamp_s[-1])
         if not 0.0 < missing_s <= MAX_AHEAD_S:
             return self
-        turn_rad, shift_m = self._twist(len(poses.stamp_s) - 1)
-        share = (np.arange(int(missing_s / MAX_GAP_S) + 1) + 1.0) * MAX_GAP_S / np.diff(poses.stamp_s[-2:])
+        turn_rad, shift_m = (each[0] for each in self._twists(np.array([len(poses.stamp_s) - 1])))
+        share = (np.arange(int(missing_s / MAX_GAP_S) + 1) + 1.0)[:, None] * MAX_GAP_S / np.diff(poses.stamp_s[-2:])
         last, position_m = poses.rotation[-1], poses.position_m[-1]
-        moved = np.array([left_jacobian(each * turn_rad) @ (each * shift_m) for each in share])
+        moved = (left_jacobian(share * turn_rad) @ (share * shift_m)[..., None])[..., 0]
         further = RobotPoses(
             stamp_s=np.append(poses.stamp_s, poses.stamp_s[-1] + MAX_GAP_S * np.arange(1, len(share) + 1)),
             position_m=np.concatenate([poses.position_m, position_m + moved @ last.T]),
-            rotation=np.concatenate([poses.rotation, last @ rotation_by(share[:, None] * turn_rad)]),
+            rotation=np.concatenate([poses.rotation, last @ rotation_by(share * turn_rad)]),
         )
         return replace(self, poses=further)
 
@@ -168,37 +185,55 @@ class CameraMotion:
         return "" if self.is_at_rest else self._why_no_tool_at(stamp_s)
 
     def _why_no_tool_at(self, stamp_s: float) -> str:
+        stamps_s = self.poses.stamp_s
         if not isfinite(stamp_s):
             return "its time is unknown"
-        stamps_s = self.poses.stamp_s
         if len(stamps_s) < 2:
             return "there are no poses of the robot yet"
-        time_s, after = self._interval(stamp_s)
-        if time_s < stamps_s[0]:
-            return f"the robot's poses begin {stamps_s[0] - time_s:.3g} s after it"
-        if time_s > stamps_s[-1]:
-            return f"the robot's poses end {time_s - stamps_s[-1]:.3g} s before it"
-        gap_s = stamps_s[after] - stamps_s[after - 1]
-        if gap_s > MAX_GAP_S:
-            return f"the robot's poses next to it are {gap_s:.3g} s apart, and at most {MAX_GAP_S:g} s are interpolated"
-        turn_rad, _ = self._twist(after)
-        speed_m_s = float(np.linalg.norm(np.diff(self.poses.position_m[after - 1 : after + 1], axis=0))) / gap_s
-        rate_rad_s = float(np.linalg.norm(turn_rad)) / gap_s
-        if rate_rad_s > MAX_RATE_RAD_S or speed_m_s > MAX_SPEED_M_S:
-            return f"the robot's poses next to it jump: {speed_m_s:.3g} m/s and {rate_rad_s:.3g} rad/s"
-        return ""
+        around = self._intervals(np.array([stamp_s]))
+        failures = self._failures(around)[:, 0]
+        if not failures.any():
+            return ""
+        time_s, gap_s = float(around.time_s[0]), float(around.length_s[0])
+        speed_m_s, rate_rad_s = (float(np.linalg.norm(each)) / gap_s for each in (around.shift_m, around.turn_rad))
+        return (
+            f"the robot's poses begin {stamps_s[0] - time_s:.3g} s after it",
+            f"the robot's poses end {time_s - stamps_s[-1]:.3g} s before it",
+            f"the robot's poses next to it are {gap_s:.3g} s apart, and at most {MAX_GAP_S:g} s are interpolated",
+            f"the robot's poses next to it jump: {speed_m_s:.3g} m/s and {rate_rad_s:.3g} rad/s",
+        )[int(failures.argmax())]
 
-    def _interval(self, stamp_s: float) -> tuple[float, int]:
-        """The stamp in the robot's time, and the index of the pose that ends the interval around it."""
+    def _intervals(self, stamp_s: Float64[Array, "instant"]) -> _Intervals:
+        """Those around stamps of the camera's clock; none of finite length with fewer than two poses."""
         time_s = stamp_s + self.mount.delay_s
-        after = int(np.searchsorted(self.poses.stamp_s, time_s, side="right"))
-        return time_s, min(max(after, 1), len(self.poses.stamp_s) - 1)
+        stamps_s = self.poses.stamp_s
+        if len(stamps_s) < 2:
+            missing = np.full((len(time_s), 3), np.nan)
+            return _Intervals(time_s, np.zeros(len(time_s), np.int64), missing[:, 0], missing, missing)
+        after = np.clip(np.searchsorted(stamps_s, time_s, side="right"), 1, len(stamps_s) - 1)
+        return _Intervals(time_s, after, stamps_s[after] - stamps_s[after - 1], *self._twists(after))
 
-    def _twist(self, after: int) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
-        """Rotation vector (rad) and translation (m) of the tool from the pose before to pose `after`, tool frame."""
+    def _failures(self, around: _Intervals) -> Bool[Array, "reason=4 instant"]:
+        """Whether the poses begin after an instant, end before it, are too far apart around it, or jump there.
+
+        Instants that are not finite, and those of a robot with fewer than two poses, fail in all.
+        """
+        known = np.isfinite(around.time_s) & np.isfinite(around.length_s)
+        stamps_s = self.poses.stamp_s
+        if not known.any():
+            return np.ones((4, len(known)), dtype=bool)
+        jumps = np.zeros(len(known), dtype=bool)
+        for steps, fastest in ((around.shift_m, MAX_SPEED_M_S), (around.turn_rad, MAX_RATE_RAD_S)):
+            jumps |= (steps * steps).sum(axis=1) > (fastest * around.length_s) ** 2
+        too_far = around.length_s > MAX_GAP_S
+        return ~known | np.array([around.time_s < stamps_s[0], around.time_s > stamps_s[-1], too_far, jumps])
+
+    def _twists(self, after: Int64[Array, "pose"]) -> tuple[Float64[Array, "pose 3"], Float64[Array, "pose 3"]]:
+        """Rotation vector (rad) and translation (m) of the tool from the poses before to poses `after`, tool frame."""
         rotation, position_m = self.poses.rotation, self.poses.position_m
-        back = rotation[after - 1].T
-        return _logarithm(back @ rotation[after], back @ (position_m[after] - position_m[after - 1]))
+        back = rotation[after - 1].swapaxes(1, 2)
+        step_m = back @ (position_m[after] - position_m[after - 1])[..., None]
+        return logarithm(back @ rotation[after], step_m[..., 0])
 
     def displacements(self, reference_s: float, instant_s: Float64[Array, "instant"]) -> CameraDisplacements | None:
         """How the camera is displaced at instants after `reference_s`; None if the robot's poses do not cover them.
@@ -232,7 +267,7 @@ def _displacements(
         if ahead is None or behind is None:
             return None
         turned = ahead[0] @ behind[0].swapaxes(-1, -2)
-        turn = np.array([rotation_vector(each) for each in turned])
+        turn = rotation_vectors(turned)
         shift = ahead[1] - (turned @ behind[1][..., None])[..., 0]
         columns.append(np.concatenate([turn, shift], axis=1)[..., None] / (2.0 * sd))
     return CameraDisplacements(*displaced, np.concatenate(columns, axis=-1))
@@ -242,12 +277,17 @@ def _displaced(
     camera: CameraMotion, reference_s: float, instant_s: tuple[float, ...]
 ) -> tuple[Float64[Array, "instant 3 3"], Float64[Array, "instant 3"]] | None:
     """R and t of P = R P_0 + t, from the camera frame at the reference time to that at each instant."""
-    states = [camera.at(reference_s + after_s) for after_s in (0.0, *instant_s)]
-    first, moved = states[0], [state for state in states[1:] if state is not None]
-    if first is None or len(moved) < len(instant_s):
+    stamps_s = reference_s + np.array([0.0, *instant_s])
+    if camera.is_at_rest:
+        return np.tile(np.eye(3), (len(instant_s), 1, 1)), np.zeros((len(instant_s), 3))
+    tools, is_covered = camera.tools_at(stamps_s)
+    if not is_covered.all():
         return None
-    rotations = np.array([state.rotation.T @ first.rotation for state in moved])
-    return rotations, np.array([state.rotation.T @ (first.origin_m - state.origin_m) for state in moved])
+    tool_from_camera = camera.mount.carrier_from_camera
+    rotation = tools.rotation @ tool_from_camera[:3, :3]
+    origin_m = tools.position_m + tools.rotation @ tool_from_camera[:3, 3]
+    back = rotation[1:].swapaxes(1, 2)
+    return back @ rotation[0], (back @ (origin_m[0] - origin_m[1:])[..., None])[..., 0]
 
 
 def _block(rotation: Float64[Array, "3 3"]) -> Float64[Array, "6 6"]:
@@ -266,21 +306,21 @@ def _robot_sds(mount: Mount) -> Float64[Array, "6"]:
     return np.repeat([mount.robot_rotation_sd_rad, mount.robot_translation_sd_m], 3)
 
 
-def _logarithm(
-    rotation: Float64[Array, "3 3"], translation: Float64[Array, "3"]
-) -> tuple[Float64[Array, "3"], Float64[Array, "3"]]:
-    """The twist (rotation vector, translation) whose exponential on SE(3) is this transform."""
-    turn = rotation_vector(rotation)
-    return turn, np.linalg.solve(left_jacobian(turn), translation)
+def logarithm(
+    rotation: Float64[Array, "*shape 3 3"], translation: Float64[Array, "*shape 3"]
+) -> tuple[Float64[Array, "*shape 3"], Float64[Array, "*shape 3"]]:
+    """The twists (rotation vector, translation) whose exponentials on SE(3) are these transforms."""
+    turn = rotation_vectors(rotation)
+    return turn, np.linalg.solve(left_jacobian(turn), translation[..., None])[..., 0]
 
 
-def left_jacobian(turn: Float64[Array, "3"]) -> Float64[Array, "3 3"]:
+def left_jacobian(turn: Float64[Array, "*shape 3"]) -> Float64[Array, "*shape 3 3"]:
     """V with exp(turn, shift) = (exp(turn), V shift): 1 + (1 - cos a) / a^2 K + (a - sin a) / a^3 K^2."""
-    angle = float(np.sqrt(turn @ turn))
-    x, y, z = turn.tolist()
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    angle = np.sqrt((turn * turn).sum(axis=-1))[..., None, None]
+    skew = (turn @ GENERATORS).reshape(*turn.shape, 3)
     small = angle < SMALL_ANGLE
-    first = 0.5 if small else (1.0 - np.cos(angle)) / angle**2
-    second = 1.0 / 6.0 if small else (angle - np.sin(angle)) / angle**3
-    jacobian: Float64[Array, "3 3"] = np.eye(3) + first * skew + second * (skew @ skew)
+    angle = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5, (1.0 - np.cos(angle)) / angle**2)
+    second = np.where(small, 1.0 / 6.0, (angle - np.sin(angle)) / angle**3)
+    jacobian: Float64[Array, "*shape 3 3"] = IDENTITY + first * skew + second * (skew @ skew)
     return jacobian

@@ -14,6 +14,9 @@ EPSILON = float(np.finfo(float).eps)
 SMALL_ANGLE = 1e-4
 """Angle below which the sine equals the angle to 2e-13."""
 
+NEAR_HALF_TURN = -0.99
+"""Cosine of an angle of which the sine has lost one of sixteen digits."""
+
 
 def tilt_basis(normal: Float64[Array, "3"]) -> Float64[Array, "2 3"]:
     """Two unit vectors e1, e2 across a unit normal: e1 along z x n (x axis if n is along z), e2 = n x e1.
@@ -63,11 +66,28 @@ def facing_normal(pitch_rad: float, yaw_rad: float) -> Float64[Array, "3"]:
 
 def rotation_vector(rotation: Float64[Array, "3 3"]) -> Float64[Array, "3"]:
     """Axis times angle. OpenCV's is zero below 10 microradians, where the pose of a board facing it would stall."""
-    turn = (rotation - rotation.T) / 2
-    sine = np.array([turn[2, 1], turn[0, 2], turn[1, 0]])
+    sine = rotation_sine(rotation)
     if float(np.abs(sine).max()) < SMALL_ANGLE and np.trace(rotation) > 1:
         return sine
     return np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
+
+
+def rotation_vectors(rotation: Float64[Array, "*shape 3 3"]) -> Float64[Array, "*shape 3"]:
+    """Axes times angles of many rotations; one near half a turn, whose sine does not show the axis, as of one alone."""
+    sine = rotation_sine(rotation)
+    length = np.sqrt((sine * sine).sum(axis=-1))
+    cosine = (np.trace(rotation, axis1=-2, axis2=-1) - 1.0) / 2.0
+    small = length < SMALL_ANGLE
+    vectors = sine * np.where(small, 1.0, np.arctan2(length, cosine) / np.where(small, 1.0, length))[..., None]
+    for index in np.argwhere(cosine < NEAR_HALF_TURN).tolist():
+        vectors[tuple(index)] = rotation_vector(rotation[tuple(index)])
+    return np.asarray(vectors)
+
+
+def rotation_sine(rotation: Float64[Array, "*shape 3 3"]) -> Float64[Array, "*shape 3"]:
+    """Axes times the sines of the angles."""
+    turn = (rotation - rotation.swapaxes(-1, -2)) / 2
+    return turn[..., [2, 0, 1], [1, 2, 0]]
 
 
 def rotation_of(orientation_xyzw: Float64[Array, "4"]) -> Float64[Array, "3 3"]:

@@ -22,15 +22,15 @@ MIN_ACROSS_RAD = np.radians(5.0)
 
 
 class Transform(NamedTuple):
-    """A rigid transform."""
+    """A rigid transform, or several."""
 
-    rotation: Float64[Array, "3 3"]
-    translation_m: Float64[Array, "xyz=3"]
+    rotation: Float64[Array, "*shape 3 3"]
+    translation_m: Float64[Array, "*shape xyz=3"]
 
     def inverse(self) -> "Transform":
         """The transform back."""
-        back = self.rotation.T
-        return Transform(back, -back @ self.translation_m)
+        back = self.rotation.swapaxes(-1, -2)
+        return Transform(back, -(back @ self.translation_m[..., None])[..., 0])
 
     def after(self, first: "Transform") -> "Transform":
         """The first transform followed by this one."""

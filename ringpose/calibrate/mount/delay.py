@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.mount.adjustment import AT_BOUND, STAMP_BOUNDS_S, MountSolution
-from ringpose.calibrate.mount.moving import MAX_DELAY_S, twist_between
+from ringpose.calibrate.mount.moving import MAX_DELAY_S, twists_between
 from ringpose.calibrate.mount.stations import Station
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Float64
@@ -64,10 +64,10 @@ def _chi2_at(
     weighted = design.swapaxes(1, 2) @ weights
     known = np.delete(np.delete(solution.prior + numbers.camera_information.sum(axis=0), 12, axis=0), 12, axis=1)
     covariance = covariance_of_free((weighted @ design).sum(axis=0) + known)
-    chi2 = []
+    chi2, poses = [], [one.base_from_tool for one in stations]
     for delay_s in (*delays_s.tolist(), solution.state.delay_s):
-        further = [twist_between(one.base_from_tool, one.at(delay_s).base_from_tool) for one in stations]
-        z = numbers.z - (numbers.wrt_error @ np.array(further)[..., None])[..., 0]
+        further = twists_between(poses, [one.at(delay_s).base_from_tool for one in stations])
+        z = numbers.z - (numbers.wrt_error @ further[..., None])[..., 0]
         gradient = (weighted @ z[..., None]).sum(axis=0)[:, 0]
         chi2.append(float(np.einsum("vi,vij,vj->", z, weights, z) - gradient @ covariance @ gradient))
     return np.array(chi2)

@@ -6,16 +6,15 @@ The robot's stamp that belongs to the camera's stamp t is t + delay (ringpose-me
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from ringpose.calibrate.mount.closed_form import MIN_TURN_RAD, Transform, moving_from_fixed
 from ringpose.errors import DataError
-from ringpose.geometry.camera_motion import CameraMotion, left_jacobian
+from ringpose.geometry.camera_motion import CameraMotion, ToolStates, left_jacobian, logarithm
 from ringpose.geometry.ring import rotation_by
-from ringpose.geometry.rotations import rotation_vector
+from ringpose.geometry.rotations import rotation_sine
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.rig import Mount, RobotPoses
 
@@ -78,10 +77,9 @@ class ToolMotion:
         interval_s = float(np.median(np.diff(self.poses.stamp_s)))
         return interval_s * float(np.ceil(MIN_SPAN_S / max(interval_s, 1e-9)))
 
-    def pose_at(self, stamp_s: float) -> Transform | None:
-        """The tool by the constant twist between two poses, at a stamp of the robot."""
-        state = self._camera.at(stamp_s)
-        return None if state is None else Transform(state.rotation, state.origin_m)
+    def tools_at(self, stamp_s: Float64[Array, "instant"]) -> tuple[ToolStates, Bool[Array, "instant"]]:
+        """The tool at those stamps of the robot that its poses cover, and which these are."""
+        return self._camera.tools_at(stamp_s)
 
     def at(self, stamp_s: float) -> ToolInstant | None:
         """The tool at a stamp of the robot; None if its poses do not cover it.
@@ -91,11 +89,11 @@ class ToolMotion:
         remainder of a linear interpolation), which is the uncertainty of the result.
         """
         span_s = self.span_s
-        around = [self.pose_at(stamp_s + number * span_s) for number in (-2, -1, 0, 1, 2)]
-        poses = [pose for pose in around if pose is not None]
-        if len(poses) < len(around):
+        tools, is_covered = self.tools_at(stamp_s + span_s * np.arange(-2, 3))
+        if not is_covered.all():
             return None
-        twists = [twist_between(first, second) / span_s for first, second in pairwise(poses)]
+        poses = [*map(Transform, tools.rotation, tools.position_m)]
+        twists = twists_between(poses[:-1], poses[1:]) / span_s
         acceleration = (twists[2] - twists[1]) / span_s
         change = (twists[3] - twists[2] - twists[1] + twists[0]) / (2.0 * span_s**2)
         stamps_s = self.poses.stamp_s
@@ -130,11 +128,12 @@ def moved(pose: Transform, twist: Float64[Array, "6"]) -> Transform:
     return pose.after(Transform(rotation_by(turn_rad), left_jacobian(turn_rad) @ twist[3:]))
 
 
-def twist_between(first: Transform, second: Transform) -> Float64[Array, "6"]:
-    """The twist from one pose to the next, in the tool frame."""
-    step = first.inverse().after(second)
-    turn_rad = rotation_vector(step.rotation)
-    return np.append(turn_rad, np.linalg.solve(left_jacobian(turn_rad), step.translation_m))
+def twists_between(first: Sequence[Transform], second: Sequence[Transform]) -> Float64[Array, "pair 6"]:
+    """The twists from poses to the next ones, in the tool frame."""
+    back = np.array([pose.rotation.T for pose in first])
+    step_m = np.array([to.translation_m - at.translation_m for at, to in zip(first, second, strict=True)])
+    turned = back @ np.array([pose.rotation for pose in second])
+    return np.concatenate(logarithm(turned, (back @ step_m[..., None])[..., 0]), axis=1)
 
 
 class CoarseDelay(NamedTuple):
@@ -163,7 +162,7 @@ def check_clocks(
     coarse: CoarseDelay, stamps_s: Sequence[float], boards: Sequence[Transform], motion: ToolMotion, eye_to_hand: bool
 ) -> None:
     """Raise DataError if the delay is not an expected one."""
-    if not _are_clear(_screws(boards)[0]).any():
+    if not _are_clear(_screws(*(np.array([board[part] for board in boards]) for part in (0, 1)))[0]).any():
         return  # too little is turned for a mount, and for a delay
     far = np.arange(MAX_DELAY_S + _STEP_S, _FAR_S, _FAR_STEP_S)
     beyond = np.concatenate([-far, far])
@@ -184,30 +183,28 @@ def _misfits(
     delays_s: Float64[Array, "delay"], stamps_s: Sequence[float], boards: Sequence[Transform], motion: ToolMotion,
     eye_to_hand: bool,
 ) -> Float64[Array, "delay"]:  # fmt: skip
+    """Median differences (rad, shifts by the board's distance) of motions; infinite if under half are covered."""
     chosen = np.unique(np.linspace(0, len(stamps_s) - 1, min(len(stamps_s), _MAX_VIEWS)).astype(int)).tolist()
     stamps_s, boards = [stamps_s[index] for index in chosen], [boards[index] for index in chosen]
-    return np.array([_misfit(delay_s, stamps_s, boards, motion, eye_to_hand) for delay_s in delays_s.tolist()])
-
-
-def _misfit(
-    delay_s: float, stamps_s: Sequence[float], boards: Sequence[Transform], motion: ToolMotion, eye_to_hand: bool
-) -> float:
-    """Median difference (rad, shifts by the board's distance) of motions; infinite if fewer than half are covered."""
-    pairs = [
-        (moving_from_fixed(pose, eye_to_hand), board)
-        for stamp_s, board in zip(stamps_s, boards, strict=True)
-        for pose in [motion.pose_at(stamp_s + delay_s)]
-        if pose is not None
-    ]
-    if len(pairs) < max(3, (len(stamps_s) + 1) // 2):
-        return np.inf
-    distance_m = float(np.median([np.linalg.norm(board.translation_m) for _, board in pairs]))
-    angle, shift_m = _screws([robot for robot, _ in pairs])
-    seen, seen_m = _screws([board for _, board in pairs])
-    clear = _are_clear(seen)
-    if not clear.any():
-        return np.inf
-    return float(np.median(np.hypot(angle - seen, (shift_m - seen_m) / distance_m)[clear]))
+    tools, is_covered = motion.tools_at((delays_s[:, None] + stamps_s).ravel())
+    reached = moving_from_fixed(Transform(tools.rotation, tools.position_m), eye_to_hand)
+    index = (np.cumsum(is_covered) - 1).reshape(len(delays_s), -1)
+    is_covered = is_covered.reshape(index.shape)
+    turned, place_m = (np.array([board[part] for board in boards]) for part in (0, 1))
+    misfit = np.full(len(delays_s), np.inf)
+    for views in np.unique(is_covered, axis=0):
+        if views.sum() < max(3, (len(stamps_s) + 1) // 2):
+            continue
+        seen, seen_m = _screws(turned[views], place_m[views])
+        clear = _are_clear(seen)
+        if not clear.any():
+            continue
+        alike = (is_covered == views).all(axis=1)
+        angle, shift_m = _screws(*(each[index[np.ix_(alike, views)]] for each in reached))
+        distance_m = float(np.median(np.linalg.norm(place_m[views], axis=1)))
+        differences = np.hypot(angle - seen, (shift_m - seen_m) / distance_m)
+        misfit[alike] = np.median(differences[:, clear], axis=1)
+    return misfit
 
 
 def _are_clear(angle_rad: Float64[Array, "pair"]) -> Bool[Array, "pair"]:
@@ -215,19 +212,17 @@ def _are_clear(angle_rad: Float64[Array, "pair"]) -> Bool[Array, "pair"]:
     return (angle_rad > MIN_TURN_RAD) & (angle_rad < _MAX_TURN_RAD)
 
 
-def _screws(poses: Sequence[Transform]) -> tuple[Float64[Array, "pair"], Float64[Array, "pair"]]:
+def _screws(
+    rotation: Float64[Array, "*delay view 3 3"], place_m: Float64[Array, "*delay view xyz=3"]
+) -> tuple[Float64[Array, "*delay pair"], Float64[Array, "*delay pair"]]:
     """Angle, and shift along the axis, of the motion between the poses of each pair."""
-    rotation = np.array([pose.rotation for pose in poses])
-    place_m = np.array([pose.translation_m for pose in poses])
-    first, second = np.triu_indices(len(poses), 1)
-    turn = rotation[second] @ rotation[first].swapaxes(1, 2)
-    step_m = place_m[second] - (turn @ place_m[first][..., None])[..., 0]
-    across = np.stack(
-        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
-    )
-    length = np.linalg.norm(across, axis=1)  # twice the sine of the angle
-    angle = np.arctan2(length, np.trace(turn, axis1=1, axis2=2) - 1.0)
-    return angle, np.einsum("pi,pi->p", across, step_m) / np.maximum(length, 1e-12)
+    first, second = np.triu_indices(rotation.shape[-3], 1)
+    turn = rotation[..., second, :, :] @ rotation[..., first, :, :].swapaxes(-1, -2)
+    step_m = place_m[..., second, :] - (turn @ place_m[..., first, :, None])[..., 0]
+    across = 2.0 * rotation_sine(turn)
+    length = np.linalg.norm(across, axis=-1)  # twice the sine of the angle
+    angle = np.arctan2(length, np.trace(turn, axis1=-2, axis2=-1) - 1.0)
+    return angle, (across * step_m).sum(axis=-1) / np.maximum(length, 1e-12)
 
 
 def _why_apart(stamps_s: Sequence[float], motion: ToolMotion) -> tuple[str, str]:
