@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand, TyperGroup, TyperOption
 from typer.models import CommandFunctionType
 
+from ringpose.cli import messages
 from ringpose.errors import UsageError
 from ringpose.types.options import Method
 from ringpose.types.options import PoseFrame as PoseFrame
@@ -21,7 +22,20 @@ from ringpose.types.plausible import Range
 
 
 class Command(TyperCommand):
-    """A command whose help lists its options by purpose, which is their `rich_help_panel`."""
+    """A command whose help lists its options by purpose, which is their `rich_help_panel`, and that can log times."""
+
+    def __init__(self, name: str | None, **given: Any) -> None:
+        super().__init__(name, **given)
+        self.params.append(
+            TyperOption(
+                param_decls=["--log-times"],
+                is_flag=True,
+                is_eager=True,
+                expose_value=False,
+                callback=_log_times,
+                help="Begin each message on stderr with the time (UTC).",
+            )
+        )
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write the arguments, the options without a purpose of their own, and the others."""
@@ -36,6 +50,10 @@ class Command(TyperCommand):
             if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
+
+
+def _log_times(context: Any, option: Any, requested: bool | None) -> None:
+    messages.HEADING.has_time = bool(requested)
 
 
 class Commands(TyperGroup):

@@ -108,6 +108,7 @@ def _command(arguments: list[str]) -> int:
 
     # Only the module of the command that runs is imported; --help without a command needs all of them.
     requested = [name for name in COMMANDS if [name] == arguments[:1]]
+    messages.HEADING.program, messages.HEADING.has_time = " ".join(["ringpose", *requested]), False
     for name in requested or COMMANDS:
         import_module(f"ringpose.cli.{COMMANDS[name]}")
     click_usage_error: Any = typer.BadParameter.__mro__[1]  # has no public name in Typer's copy of click

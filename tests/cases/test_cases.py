@@ -69,7 +69,7 @@ def test_case_has_its_status_and_its_message(ended, name):
     message = "\n".join(err)
     for word in row.get("says", []):
         assert word in message
-    assert all(line.startswith("ringpose: ") for line in err)
+    assert all(re.match("ringpose( [a-z-]+)?: ", line) for line in err)
     assert len(err) == row.get("lines", 1 if "says" in row else 0), err
     assert len(out) == row.get("prints", len(out))
     records = [_record(line) for line in out if line.startswith("{")]

@@ -90,7 +90,7 @@ def test_bad_shot_is_one_line_and_the_good_ones_come_out(rig, picture, tmp_path,
 
     captured = capfd.readouterr()
     assert [json.loads(line)["shot"] for line in captured.out.splitlines()] == ["first", "last"]
-    assert captured.err.startswith("ringpose: ")
+    assert captured.err.startswith(f"ringpose {command}: ")
     assert finding in captured.err
     assert captured.err.count("\n") == 1
 
@@ -122,7 +122,7 @@ def test_bad_rig_is_one_line_before_anything_is_read(rig, run, command, is_there
     ended, out, (message,) = run(command, "never-read.png", "--rig", rig)
 
     assert (ended, out) == (status, [])
-    assert message.startswith(f"ringpose: {rig}: {finding}")
+    assert message.startswith(f"ringpose {command}: {rig}: {finding}")
 
 
 @pytest.mark.parametrize("folder", ["/proc", "/dev/null"])
@@ -130,7 +130,7 @@ def test_unwritable_output_is_one_line(picture, run, folder):
     status, out, (message,) = run("detect", picture("a.png"), "--segments-only", "--output", f"{folder}/ringpose")
 
     assert (status, out) == (73, [])
-    assert message.startswith(f"ringpose: {folder}/ringpose: cannot be written: ")
+    assert message.startswith(f"ringpose detect: {folder}/ringpose: cannot be written: ")
 
 
 @pytest.mark.parametrize("words", [["detect"], ["pose"], ["pose", "--jobs", 2]])
@@ -140,7 +140,7 @@ def test_an_empty_standard_input_is_no_input(rig, run, monkeypatch, words):
     status, out, (message,) = run(*words, "-", "--rig", rig)
 
     assert (status, out) == (66, [])
-    assert message.startswith("ringpose: standard input: is empty")
+    assert message.startswith(f"ringpose {words[0]}: standard input: is empty")
 
 
 @pytest.mark.parametrize("command", ["pose", "track"])
@@ -157,8 +157,8 @@ def test_records_of_another_kind_are_reported_once_and_counted(rig, detections, 
     status, out, (first, counted) = run("track", detections, "--rig", rig)
 
     assert (status, out) == (65, [])
-    assert first.startswith(f"ringpose: {detections}:1: schema: ")
-    assert counted.startswith(f"ringpose: {detections}: the same in 2 further records: schema: ")
+    assert first.startswith(f"ringpose track: {detections}:1: schema: ")
+    assert counted.startswith(f"ringpose track: {detections}: the same in 2 further records: schema: ")
 
 
 def test_findings_that_differ_are_reported_each(rig, detections, run):
@@ -172,7 +172,7 @@ def test_findings_that_differ_are_reported_each(rig, detections, run):
 
     messages = run("pose", detections, "--rig", rig).messages
 
-    assert [message.removeprefix(f"ringpose: {detections}").split(": ")[:2] for message in messages] == [
+    assert [message.removeprefix(f"ringpose pose: {detections}").split(": ")[:2] for message in messages] == [
         [":1", "break_points.labelled"],
         [":3", "break_points.flags"],
         ["", "the same in 1 further record"],
@@ -185,7 +185,7 @@ def test_findings_that_differ_in_a_number_are_reported_once_and_counted(rig, run
 
     first, counted = run("pose", broken, "--rig", rig).messages
 
-    assert first.startswith(f"ringpose: {broken}:1: is not valid JSON")
+    assert first.startswith(f"ringpose pose: {broken}:1: is not valid JSON")
     assert "2 further records" in counted
 
 

@@ -140,7 +140,7 @@ def test_a_line_without_a_truth_is_named(poses, capsys):
 
     assert status == 65
     assert capsys.readouterr().err.startswith(
-        "ringpose: poses.jsonl: 1 shots have a pose line but no truth in truth.jsonl (the first is stranger)"
+        "ringpose bench: poses.jsonl: 1 shots have a pose line but no truth in truth.jsonl (the first is stranger)"
     )
 
 

@@ -67,7 +67,7 @@ def test_the_camera_file_has_the_true_parameters_with_their_quality_and_provenan
 def test_an_image_without_a_board_is_named_and_the_others_are_used(run):
     assert run.status == 0
     assert "verdict: redo" not in run.err
-    assert "ringpose: black: no board: too dark" in run.err
+    assert "ringpose calibrate-camera: black: no board: too dark" in run.err
     assert written(run.folder)["quality"]["without_board"][0]["name"] == "black"
 
 
@@ -81,10 +81,10 @@ def test_summary_and_verdict_are_printed_on_stderr(run):
 
     assert run.out == ""
     assert "4 of 4 views used, rms 0.0" in run.err
-    assert "ringpose: fx 178" in run.err
+    assert "ringpose calibrate-camera: fx 178" in run.err
     assert "the models differ by median" in run.err
-    assert f"ringpose: verdict: {verdict['grade']}: " in run.err
-    assert all(f"ringpose: advice: {sentence}\n" in run.err for sentence in verdict["advice"])
+    assert f"ringpose calibrate-camera: verdict: {verdict['grade']}: " in run.err
+    assert all(f"ringpose calibrate-camera: advice: {sentence}\n" in run.err for sentence in verdict["advice"])
     assert {"name", "value", "good_limit", "redo_limit", "grade"} <= set(verdict["findings"][0])
 
 
@@ -115,8 +115,8 @@ def test_unusable_images_are_named_and_the_others_are_used(folder, capsys):
     assert status == 65
     assert "damaged.png" in stderr
     assert "zoom: 640 x 480 pixels, the others have 1600 x 1200" in stderr
-    assert "ringpose: copy: is the same image as cam_B_00" in stderr
-    assert "ringpose: cam_B_00: another image has this name" in stderr
+    assert "ringpose calibrate-camera: copy: is the same image as cam_B_00" in stderr
+    assert "ringpose calibrate-camera: cam_B_00: another image has this name" in stderr
     assert written(folder)["quality"]["views_used"] == len(VIEWS)
     assert written(folder)["distortion_coefficients"]["cols"] == 8
 
@@ -164,5 +164,5 @@ def test_the_verdict_redo_is_printed_even_if_quiet(folder, capsys):
     status = calibrate(*(f"views/{name}" for name in VIEWS[:3]), "--quiet")
 
     assert status == 3
-    assert capsys.readouterr().err.startswith("ringpose: verdict: redo: ")
+    assert capsys.readouterr().err.startswith("ringpose calibrate-camera: verdict: redo: ")
     assert (folder / "camera.yaml").exists()

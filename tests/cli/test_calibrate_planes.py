@@ -53,7 +53,7 @@ def test_shots_without_board_or_stripes_are_named_with_the_reason_and_the_others
 
     assert poor_shots.status == 0
     assert "verdict: redo" not in stderr
-    assert "ringpose: black: no board: too dark" in stderr
+    assert "ringpose calibrate-planes: black: no board: too dark" in stderr
     assert written(poor_shots.folder)["quality"]["without_board"][0]["name"] == "black"
     assert "unlit: no stripe of left, middle, right" in stderr
     assert "weak: no stripe of left, middle, right: 0 stripes on the board where 3 lasers are on: too dark" in stderr
@@ -191,7 +191,7 @@ def test_moved_boards_and_exchanged_lasers_are_named_even_if_quiet(plane_folder,
 
     stderr = capsys.readouterr().err
     assert status == 65
-    assert "ringpose: pln_B_03: left and middle are exchanged against the other shots" in stderr
+    assert "ringpose calibrate-planes: pln_B_03: left and middle are exchanged against the other shots" in stderr
     assert "; left out: see how its lasers were switched" in stderr
     assert "moved: the board, or the camera, moved by 3.0 px between its frames; left out" in stderr
     assert [view["name"] for view in written(plane_folder)["quality"]["boards"]] == ["pln_B_01", "pln_B_05"]

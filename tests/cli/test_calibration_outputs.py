@@ -44,7 +44,10 @@ def test_an_output_that_is_an_input_is_rejected(folder, capsys, words, output, k
 
     status = main(words)
 
-    assert (status, capsys.readouterr().err) == (73, f"ringpose: {output}: is an input, too; choose another output\n")
+    assert (status, capsys.readouterr().err) == (
+        73,
+        f"ringpose {words[0]}: {output}: is an input, too; choose another output\n",
+    )
     assert Path(kept).read_bytes() == before
 
 
@@ -57,5 +60,5 @@ def test_an_input_without_permission_cannot_be_opened(folder, capsys, monkeypatc
 
     status = main([*CAMERA, "--output", "c.yaml"])
 
-    finding = "ringpose: camera_board.yaml: cannot be opened: permission denied\n"
+    finding = "ringpose calibrate-camera: camera_board.yaml: cannot be opened: permission denied\n"
     assert (status, capsys.readouterr().err) == (66, finding)

@@ -60,7 +60,7 @@ def test_a_shot_without_the_frame_is_named_and_the_rest_goes_on(capture):
     status, out, messages = capture("--sequence", "1")
 
     assert (status, out) == (65, ["s/b.npz"])
-    assert messages == ["ringpose: a: no frame with lasers 1; its frames: off,1+2+3"]
+    assert messages == ["ringpose capture: a: no frame with lasers 1; its frames: off,1+2+3"]
 
 
 def test_a_sequence_that_the_recording_lacks_leaves_the_folder_free_for_the_corrected_command(capture):
@@ -137,7 +137,7 @@ def test_consecutive_images_make_shots_and_the_odd_one_is_named(capture):
     status, out, messages = capture("--sequence", "off,all")
 
     assert (status, out) == (65, ["s/0.npz", "s/2.npz"])
-    assert messages == ["ringpose: 4: 1 of 2 images for a last shot; check --sequence"]
+    assert messages == ["ringpose capture: 4: 1 of 2 images for a last shot; check --sequence"]
     shot = read_shot(Path("s/2.npz"))
     assert shot.lasers.tolist() == [0, ALL_LASERS]
     assert shot.images[:, 0, 0].tolist() == [2, 3]

@@ -68,7 +68,7 @@ def test_a_full_disk_keeps_what_was_finished(forked, rng):
         out, said = process.communicate(timeout=600)
 
     assert (process.returncode, out) == (74, "s/a.npz\ns/b.npz\n")
-    assert said.startswith("ringpose: s/z.npz: writing broke off: ")
+    assert said.startswith("ringpose capture: s/z.npz: writing broke off: ")
     (capture,) = read_session(Path("s")).captures
     assert (capture.state, capture.shots) == ("stopped", ("a", "b"))
 

@@ -193,7 +193,7 @@ def test_a_camera_that_cannot_write_its_log_ends_loudly(tmp_path, loopback_addre
         said = serving.stderr.read()
 
     assert status == 74
-    assert said.startswith("ringpose: log.jsonl: writing broke off: file too large")
+    assert said.startswith("ringpose simulate: log.jsonl: writing broke off: file too large")
     assert len(said.splitlines()) == 1
 
 

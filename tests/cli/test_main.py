@@ -37,17 +37,25 @@ def test_no_words_are_wrong_usage_and_get_the_help(capsys):
     assert "Commands:" in captured.err
 
 
+def test_messages_name_the_command_and_on_request_the_time(run):
+    words = ["pose", "never-read.png", "--rig", "none.yaml"]
+
+    for more, begin in (([], ""), (["--log-times"], r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z "), ([], "")):
+        (message,) = run(*words, *more).messages
+        assert re.fullmatch(f"{begin}ringpose pose: none.yaml: does not exist", message)
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["--nonsense"], "ringpose: No such option: --nonsense; see ringpose --help\n"),
         (["nonsense"], "ringpose: No such command 'nonsense'; see ringpose --help\n"),
         (["pose"], "see ringpose pose --help\n"),
-        (["pose", "-", "--rig"], "ringpose: Option '--rig' requires an argument; see ringpose --help\n"),
+        (["pose", "-", "--rig"], "ringpose pose: Option '--rig' requires an argument; see ringpose --help\n"),
         (["detect", "-", "--jobs", "1.5"], "'1.5' is not a whole number; see ringpose detect --help\n"),
         (["track", "-", "--rate", "x"], "'x' is not a number; see ringpose track --help\n"),
         (["pose", "-", "--rig", "rig.yaml", "--method", "guess"], "see ringpose pose --help\n"),
-        (["detect", "a.png"], "ringpose: --rig is missing; give --rig FILE, or --segments-only for any image\n"),
+        (["detect", "a.png"], "ringpose detect: --rig is missing; give --rig FILE, or --segments-only for any image\n"),
     ],
 )
 def test_wrong_words_are_one_line(capsys, words, message):

@@ -64,7 +64,7 @@ def test_shots_that_are_lost_to_changing_light_have_the_servers_names_and_stamps
     records = [json.loads(line) for line in lines.splitlines()]
     lost = [record["shot"] for record in records if "ambient_changed" in record["flags"]]
     assert len(lost) < len(records)
-    assert messages.startswith(f"ringpose: {lost[0]}: lost")
+    assert messages.startswith(f"ringpose pose: {lost[0]}: lost")
     for record in records:
         begin_s = 100.0 + 5 * 0.05 * (int(record["shot"][-6:]) - 1)
         assert record["stamp_s"] == pytest.approx(begin_s + 0.05 + 0.0025)  # the second frame is the first one lit

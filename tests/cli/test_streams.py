@@ -263,7 +263,7 @@ def test_repeated_findings_are_counted_at_any_end(forked, rig, detections, is_cl
         first, counted = process.stderr.read().splitlines()
 
     assert process.returncode == status
-    assert first.startswith("ringpose: standard input:1: ")
+    assert first.startswith("ringpose pose: standard input:1: ")
     assert "2 further records" in counted
 
 
@@ -282,7 +282,7 @@ def test_full_disk_is_one_line(forked, rig, detections):
         status, said = ended(process)
 
     assert status == 74
-    assert said == "ringpose: standard output: writing broke off: no space left on device\n"
+    assert said == "ringpose pose: standard output: writing broke off: no space left on device\n"
 
 
 def test_full_disk_in_a_batch_leaves_what_was_finished(forked, picture, tmp_path):
@@ -295,7 +295,7 @@ def test_full_disk_in_a_batch_leaves_what_was_finished(forked, picture, tmp_path
         out, said = process.communicate(timeout=DEADLINE_S)
 
     assert (process.returncode, out) == (74, f"{tmp_path}/out/a.npz\n")
-    assert said.startswith(f"ringpose: {tmp_path}/out/b.npz: writing broke off: ")
+    assert said.startswith(f"ringpose detect: {tmp_path}/out/b.npz: writing broke off: ")
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["a.npz"]
     assert detection_in(Archive(tmp_path / "out" / "a.npz")).shot == "a"
 

@@ -151,8 +151,8 @@ def test_a_port_that_was_asked_for_and_is_in_use_is_status_69(files, command, mo
 
     output = capsys.readouterr()
     assert output.out == ""
-    line = f"ringpose: http://127.0.0.1:{port}: address already in use; end what uses it, or choose another --port\n"
-    assert output.err == line
+    finding = "address already in use; end what uses it, or choose another --port"
+    assert output.err == f"ringpose {COMMANDS[command][0]}: http://127.0.0.1:{port}: {finding}\n"
 
 
 def test_what_viser_reports_goes_to_stderr(server, capsys):

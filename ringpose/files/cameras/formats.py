@@ -110,7 +110,7 @@ _REPORTS = (
     (rb"^(Focal Length|Principal point): +f?c?c? *= *\[", "what MATLAB's toolbox printed", "its Calib_Results.mat"),
     (rb"^fc = \[ *[-+.\d]+ *; *[-+.\d]+ *\];", "the text Calib_Results.m", "the Calib_Results.mat beside it"),
     (rb"^R(e-projection|MS) error reported by calibrateCamera", "what OpenCV's sample printed", "the file it wrote"),
-    (rb"^ringpose: \d+ of \d+ views used", "what ringpose printed", "the file of its --output"),
+    (rb"^ringpose[a-z -]*: \d+ of \d+ views used", "what ringpose printed", "the file of its --output"),
     (rb"(?i)^\s*<(!doctype )?html", "a page for people", "the camera file that was written with it"),
 )
 """Texts of calibrators by a regular expression: what they are, and what to give instead."""
