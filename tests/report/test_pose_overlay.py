@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 from ring_scenes import break_points_of, make_scene, pixels_of
 
-from ringpose.report.overlay import REJECTED_COLOR, RING_COLORS, STATUS_COLORS, WHITE, overlay, picture_of
-from ringpose.types.detection import Detection, NoBreakPoints, Rejection
+from ringpose.report.overlay import (
+    REJECTED_COLOR,
+    RING_COLORS,
+    STATUS_COLORS,
+    WHITE,
+    Drawing,
+    overlay,
+    picture_of,
+    write_labels,
+)
+from ringpose.types.detection import UNLABELLED, Detection, NoBreakPoints, Rejection, RingEdgePoints, Stripes
 from ringpose.types.image import Shot
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import LaserState, PoseFlag, PoseLine, RingPose
@@ -117,6 +126,54 @@ def test_rejected_measurements_are_red(scene):
 
     is_red = [[has_color_near(picture, scene.position_px[k, e], REJECTED_COLOR) for e in (0, 1)] for k in range(3)]
     assert is_red == [[True, True], [True, False], [False, False]]
+
+
+def test_an_end_that_detection_rejected_is_red_though_it_is_no_break_point(scene):
+    points = scene.break_points(0.1)
+    inner, outer = scene.position_px[1]
+    seen = points.position_px.copy()
+    seen[1, 0] = np.nan
+    share = np.linspace(0.0, 1.0, 200)[:, None]
+    stripes = Stripes(
+        position_px=inner + share * (outer - inner),
+        sigma_px=np.ones(200),
+        peak_dn=np.ones(200),
+        piece=np.zeros(200, int),
+        laser=np.array([UNLABELLED]),
+    )
+    detection = Detection(shot="a", stamp_s=0.0, break_points=break_points_of(seen), stripes=stripes)
+    rejected = (Rejection(what="point", laser="middle", edge="inner"),)
+
+    pictures = [drawn(scene, pose_of(scene), detection=detection, rejected=each) for each in (rejected, ())]
+
+    assert [has_color_near(picture, inner, REJECTED_COLOR) for picture in pictures] == [True, False]
+    assert not has_color_near(pictures[0], outer, REJECTED_COLOR)
+
+
+def test_visible_edges_that_were_rejected_are_red(scene):
+    place = np.array([[800.0, 600.0], [820.0, 600.0]])
+    edges = RingEdgePoints(
+        position_px=place, edge=np.array([0, 1]), normal=np.array([[1.0, 0.0]] * 2), sigma_px=np.full(2, 0.1)
+    )
+    detection = replace(NO_POINTS, ring_edges=edges)
+
+    picture = drawn(scene, None, detection=detection, rejected=(Rejection(what="edge", edge="inner"),))
+
+    assert [has_color_near(picture, each, REJECTED_COLOR) for each in place] == [True, False]
+
+
+def test_labels_lie_beside_each_other():
+    drawing = Drawing(np.zeros((300, 400, 3), np.uint8))
+    for number in range(8):
+        drawing.labels.append((f"label {number}", np.array([200.0 + number, 150.0]), WHITE))
+
+    write_labels(drawing)
+
+    boxes = drawing.taken
+    assert len(boxes) == 8
+    for number, (left, top, right, bottom) in enumerate(boxes):
+        for other in boxes[number + 1 :]:
+            assert right < other[0] or left > other[2] or bottom < other[1] or top > other[3]
 
 
 def test_a_ring_behind_the_camera_draws_nothing(scene):
