@@ -37,9 +37,9 @@ def cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def in_order(work: Callable[[int], Result], count: int, jobs: int) -> Iterator[Result]:
-    """work(0), work(1), ... work(count - 1), computed by several processes; an exception in `work` is raised here."""
-    for outcome in outcomes(work, range(count), max(1, min(jobs, count // MIN_ITEMS_PER_PROCESS))):
+def in_order(work: Callable[[int], Result], count: int, jobs: int, begin: int = 0) -> Iterator[Result]:
+    """work(begin), ... work(count - 1), computed by several processes; an exception in `work` is raised here."""
+    for outcome in outcomes(work, range(begin, count), max(1, min(jobs, (count - begin) // MIN_ITEMS_PER_PROCESS))):
         if isinstance(outcome, Exception):
             raise outcome
         yield outcome

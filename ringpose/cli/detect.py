@@ -9,6 +9,7 @@ import typer
 from ringpose.cli import messages
 from ringpose.cli.app import (
     OUTPUT,
+    STDOUT,
     Force,
     ImageChannel,
     Inputs,
@@ -63,6 +64,12 @@ Full = Annotated[
         "--full", help="Write stripes and segments into records too, as NPZ files do.", rich_help_panel=OUTPUT
     ),
 ]
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume", help="Of --output: leave out shots whose files are there already.", rich_help_panel=OUTPUT
+    ),
+]
 
 
 @app.command()
@@ -79,6 +86,7 @@ def detect(
     track: Track = False,
     assumed: Assumed,
     full: Full = False,
+    resume: Resume = False,
     jobs: Jobs = 1,
     channel: ImageChannel = None,
     force: Force = False,
@@ -111,7 +119,8 @@ def detect(
         track=track,
         options=assumed.options,
     )
-    detections = batch.results(work, named(inputs, SHOT_SUFFIXES), jobs)
+    items = named(inputs, SHOT_SUFFIXES)
+    detections = batch.results(work, (item for item in items if not (resume and sink.has(item))), jobs)
     with batch:
         for path, shot, detection in with_progress(detections, "shots", quiet):
             with batch.guarded():
@@ -119,7 +128,7 @@ def detect(
                     from ringpose.report.overlay import overlay as drawn
                     from ringpose.report.overlay import picture_of
 
-                    overlays.write(shot.name, drawn(picture_of(shot), detection))
+                    overlays.write(shot.name, drawn(picture_of(shot), detection, rig=loaded_rig))
                 sink.write(detection, path)
                 if verbose:
                     messages.echo(f"{shot.name}: {detection.summary}")
@@ -134,6 +143,14 @@ def _check_search(rig: Path | None, method: SegmentMethod) -> None:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
     if method is not SegmentMethod.REFINED:
         raise UsageError("--method", "is of use with --segments-only only", "add it, or leave --method out")
+
+
+def _check_order(track: bool, jobs: int, resume: bool, output: str) -> None:
+    """With --track each shot needs the one before; only what is in a folder can be left out."""
+    if track and jobs > 1:
+        raise UsageError("--jobs", "is of no use with --track", "each shot needs the result of the previous one")
+    if resume and (output == STDOUT or track):
+        raise UsageError("--resume", "is of use with --output DIR, and not with --track", "leave it out")
 
 
 @dataclass(slots=True, kw_only=True)

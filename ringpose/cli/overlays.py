@@ -9,7 +9,7 @@ from ringpose.cli import messages
 from ringpose.cli.app import check_report
 from ringpose.errors import DataError, RingposeError
 from ringpose.files import atomic
-from ringpose.files.io import write_page
+from ringpose.files.io import provenance, write_page
 
 if TYPE_CHECKING:
     from ringpose.measure.stream import Measured
@@ -52,8 +52,9 @@ class PosePictures:
     The report is written at the end of the `with` block, also after an interrupt, which is how a live measurement ends.
     """
 
-    def __init__(self, rig: "Rig", folder: Path | None, report: Path | None, *, force: bool) -> None:
+    def __init__(self, rig: "Rig", rig_file: Path, folder: Path | None, report: Path | None, *, force: bool) -> None:
         check_report(report, force)
+        self._rig_file = rig_file
         self._rig, self._report, self._force = rig, report, force
         self._overlays = None if folder is None else OverlayFolder(folder, force=force)
         self._lines: list[PoseLine] = []
@@ -92,7 +93,10 @@ class PosePictures:
         from ringpose.report.poses import pose_report
 
         worst = [picture for _, _, picture in self._worst]
-        html = pose_report(self._lines, worst, f"Poses of {len(self._lines)} shots")
+        of_run = provenance([])
+        about = [f"Rig: {self._rig_file}, SHA-256 {self._rig.sha256}.", f"Command: {of_run['command']}"]
+        about.append(f"Written by ringpose {of_run['version']} at {of_run['time']}.")
+        html = pose_report(self._lines, worst, f"Poses of {len(self._lines)} shots", about)
         write_page(self._report, html, force=self._force)
 
     def _drawn(self, measured: "Measured") -> "UInt8[Array, 'row column 3']":

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import fields
 from functools import partial
+from pathlib import Path
 from time import time
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,22 +35,22 @@ from ringpose.cli.options.devices import ShotOptions
 from ringpose.cli.options.known_ring import RingOptions, known_ring
 from ringpose.cli.options.robot import RobotColumns, RobotConvention
 from ringpose.cli.options.track import (
+    Format,
     LineOptions,
     RobotPosesFile,
     TrackSettings,
     camera_motion,
     track_writer,
 )
-from ringpose.errors import NO_POSE, UsageError
+from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types.options import STDIN, Method
 from ringpose.types.plausible import Range
 
 if TYPE_CHECKING:
     from ringpose.cli.overlays import PosePictures
-    from ringpose.files.inputs import Input
+    from ringpose.files.inputs import Input, Problem
+    from ringpose.files.records.line_file import LineFile
     from ringpose.measure.stream import Measured, Stream
-    from ringpose.types.detection import Detection
-    from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Camera, Rig
     from ringpose.types.track import TrackLine
@@ -129,15 +130,15 @@ def pose(
 
     _check_source(inputs, camera, shots)
     written.check()
-    if jobs > 1 and (camera is not None or overlay is not None or report is not None or track):
-        raise UsageError("--jobs", "excludes --camera, --overlay, --report and --track", "leave it out")
+    has_pictures = overlay is not None or report is not None
+    _check_order(written, jobs, is_live=camera is not None, track=track, pictures=has_pictures)
     _check_method(method, assumed, robot_poses)
     _check_track(track, method, frame, settings)
     known = known_ring(ring, method, assumed.ring_tolerance)
     batch, loaded_rig = Batch(), read_rig(rig)
     if frame is not PoseFrame.CAMERA:
         require_mount(loaded_rig, rig)
-        _check_frame(frame, loaded_rig, robot_poses, pictures=overlay is not None or report is not None)
+        _check_frame(frame, loaded_rig, robot_poses, pictures=has_pictures)
     is_live_robot = camera is not None and robot_poses == STDIN
     if is_live_robot and (robot_convention or robot_columns):
         raise UsageError("--robot-convention", "is of no use for poses that arrive as JSON lines", "leave it out")
@@ -158,31 +159,79 @@ def pose(
     with batch, ExitStack() as stack:
         if is_live_robot:
             in_stream = partial(in_stream, motion_until=stack.enter_context(live_camera_motion(rig, batch)))
+        file = written.file(stack, force=force)
         if camera is None:
-            lines = nullcontext(
-                batch.reported(_recorded(inputs or [], in_stream(), SourceReader(loaded_rig, channel), jobs, batch))
-            )
+            stream = in_stream()
+            items = _remaining(batch.valid_inputs(_named(inputs or [])), file, stream, batch)
+            read = SourceReader(loaded_rig, channel)
+            lines = nullcontext(batch.reported(stream.outcomes(items, read, jobs, with_sources=has_pictures)))
         else:
             lines = _live(camera, shots, loaded_rig, in_stream, batch)
-        pictures = None
-        if overlay is not None or report is not None:
-            from ringpose.cli.overlays import PosePictures
-
-            pictures = stack.enter_context(PosePictures(loaded_rig, overlay, report, force=force))
-        write = _writer(written.writer(stack), track, verbose, batch)
+        pictures = _pictures(stack, loaded_rig, rig, overlay, report, force=force) if has_pictures else None
+        write = _writer(written.writer(stack, file), track, verbose, batch)
         _write(with_progress(stack.enter_context(lines), "shots", quiet), write, pictures, batch, verbose)
     batch.finish()
 
 
-def _recorded(
-    inputs: list[str], stream: "Stream", read: "Callable[[Input], Shot | Detection]", jobs: int, batch: Batch
-) -> "Iterator[Measured | Exception]":
-    """The lines of the shots and detections in files, or what is wrong with them."""
+def _pictures(
+    stack: ExitStack, rig: "Rig", rig_file: Path, overlay: Path | None, report: Path | None, *, force: bool
+) -> "PosePictures":
+    """Overlays and report, which the stack writes."""
+    from ringpose.cli.overlays import PosePictures
+
+    return stack.enter_context(PosePictures(rig, rig_file, overlay, report, force=force))
+
+
+def _named(inputs: list[str]) -> "Iterator[Input | Problem]":
+    """The shots, images and detections that are named."""
     from ringpose.files.images.shots import SHOT_SUFFIXES
     from ringpose.files.inputs import RECORDS_SUFFIX
     from ringpose.files.inputs import inputs as named
 
-    return stream.outcomes(batch.valid_inputs(named(inputs, (RECORDS_SUFFIX, *SHOT_SUFFIXES))), read, jobs)
+    return named(inputs, (RECORDS_SUFFIX, *SHOT_SUFFIXES))
+
+
+def _remaining(items: "Iterable[Input]", file: "LineFile | None", stream: "Stream", batch: Batch) -> "Iterator[Input]":
+    """The inputs without those of which an interrupted run has written the lines, after which the stream continues."""
+    from ringpose.files.inputs import shot_name
+    from ringpose.files.records.line_file import not_of_these_inputs
+    from ringpose.files.records.poses import pose_line_of
+
+    remaining = iter(items)
+    for location, record in () if file is None else file.earlier():
+        line = pose_line_of(record, location)
+        if line.rig != stream.rig.sha256:
+            raise DataError(
+                location, "was measured with another rig file", "give that one, or --force without --resume"
+            )
+        if all(shot_name(item) != line.shot for item in remaining):  # those before it had no line
+            raise not_of_these_inputs(location, line.shot)
+        stream.continue_after(line)
+        if line.pose is None:
+            batch.record_status(NO_POSE)
+    yield from remaining
+
+
+def _check_order(written: LineOptions, jobs: int, *, is_live: bool, track: bool, pictures: bool) -> None:
+    """A live camera and a track need one shot after the other; only whole pose lines hold what a stream keeps."""
+    if jobs > 1 and (is_live or track):
+        raise UsageError("--jobs", "excludes --camera and --track, which need each shot's result first", "leave it out")
+    if not written.resume:
+        return
+    excluded = {
+        "--camera": is_live,
+        "--track": track,
+        "--brief": written.brief,
+        "--format": written.output_format is not Format.RINGPOSE,
+        "--overlay and --report": pictures,
+    }
+    for option, given in excluded.items():
+        if given:
+            finding = f"excludes {option}: a run is continued after its lines, which must hold all that it needs"
+            remedy = (
+                "write pose lines first, then run ringpose track" if option == "--track" else "leave one of them out"
+            )
+            raise UsageError("--resume", finding, remedy)
 
 
 def _live(

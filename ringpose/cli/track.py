@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import Quiet, Verbose, app, file_option, number_option, with_option_groups
+from ringpose.cli.app import Force, Quiet, Verbose, app, file_option, number_option, with_option_groups
 from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.assumptions import Assumed, MaxRate, MaxSpeed
 from ringpose.cli.options.robot import RobotColumns, RobotConvention
@@ -20,10 +20,11 @@ from ringpose.cli.options.track import (
     camera_motion,
     track_writer,
 )
-from ringpose.errors import DataError, NoInputError
+from ringpose.errors import DataError, NoInputError, UsageError
 
 if TYPE_CHECKING:
     from ringpose.files.inputs import Input
+    from ringpose.files.records.line_file import LineFile
     from ringpose.track.pipeline import Tracker
     from ringpose.types.track import Attempt, TrackLine
 
@@ -56,6 +57,7 @@ def track(
     robot_convention: RobotConvention = None,
     robot_columns: RobotColumns = None,
     written: LineOptions,
+    force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -66,16 +68,31 @@ def track(
     from ringpose.track.pipeline import Tracker
 
     written.check()
+    if written.resume and rate is not None:
+        raise UsageError("--resume", "is of no use with --rate, by which lines are of the present", "leave it out")
     assumed = Assumed(max_speed=max_speed, max_rate=max_rate).options
     motion = camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns)
     tracker = Tracker(read_rig(rig) if rig is not None else None, settings.options(assumed), motion)
     batch = Batch()
     items = batch.valid_inputs(named(inputs, (RECORDS_SUFFIX,)))
     with batch, ExitStack() as stack:
-        write = track_writer(written.writer(stack), verbose, batch)
-        for line in _lines(items, tracker, batch, quiet) if rate is None else _at_rate(items, tracker, batch, rate):
+        file = written.file(stack, force=force)
+        write = track_writer(written.writer(stack, file), verbose, batch)
+        lines = _lines(items, tracker, batch, quiet) if rate is None else _at_rate(items, tracker, batch, rate)
+        for line in lines if file is None else _after(lines, file):
             write(line)
     batch.finish()
+
+
+def _after(lines: "Iterator[TrackLine]", file: "LineFile") -> "Iterator[TrackLine]":
+    """The lines after those that an interrupted run has written; all are computed again, as each needs those before."""
+    from ringpose.files.records.line_file import not_of_these_inputs
+
+    for location, record in file.earlier():
+        line = next(lines, None)
+        if line is None or line.shot != record.get("shot"):
+            raise not_of_these_inputs(location, record.get("shot"))
+    yield from lines
 
 
 class _Records:

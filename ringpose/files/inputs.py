@@ -65,6 +65,11 @@ def inputs(arguments: Iterable[str | Path], suffixes: Iterable[str]) -> Iterator
             yield from _opened(Path(argument), suffixes)
 
 
+def shot_name(item: Input) -> str:
+    """The name of the shot in an input: that of its file without suffix, or what its record states."""
+    return item.stem if isinstance(item, Path) else str(item.values.get("shot", ""))
+
+
 def path_of_input(item: Input) -> Path:
     """The path of an input that must be a shot or image; a record, and a file of records, is rejected."""
     if isinstance(item, Path):

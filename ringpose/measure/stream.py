@@ -94,7 +94,12 @@ class Setup:
 
     def measure(self, source: Shot | Detection) -> PoseLine:
         """The pose line of a shot or detection by itself, whatever other shots show."""
-        return _measured(self, source, lambda shot, _: self.detection(shot))[1]
+        return self.measured(source).line
+
+    def measured(self, source: Shot | Detection) -> "Measured":
+        """The same, with shot and detection."""
+        detection, line = _measured(self, source, lambda shot, _: self.detection(shot))
+        return Measured(line=line, shot=source if isinstance(source, Shot) else None, detection=detection)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -166,26 +171,39 @@ class Stream:
         detection, line = _measured(setup, source, partial(self._detection, setup))
         return replace(self._next(line), shot=shot, detection=detection)
 
+    def continue_after(self, line: PoseLine) -> None:
+        """Take over what a line has shown about rig and ring that an earlier run of this stream has measured."""
+        self._next(line)
+
     def outcomes(
-        self, items: Iterable[Item], read: "Callable[[Item], Shot | Detection]", jobs: int = 1
+        self,
+        items: Iterable[Item],
+        read: "Callable[[Item], Shot | Detection]",
+        jobs: int = 1,
+        *,
+        with_sources: bool = False,
     ) -> Iterator[Measured | Exception]:
         """The lines of the shots that `read` reads, or why there is none, in the order of the items.
 
         With several processes, each measures shots by themselves, and what goes from shot to shot is computed here, so
         that the lines do not depend on their number: once the stream shows that a light plane has moved, the following
         shots are measured again with the corrected rig. A track needs its shots one after the other.
+        `with_sources`: with the shot and the detection of each line, also from another process.
         """
         if jobs == 1:
             yield from (self._outcome(item, read) for item in items)
             return
         from ringpose.processes import outcomes
 
-        for outcome in outcomes(_ByItself(self.setup, read), items, jobs):
+        for outcome in outcomes(_ByItself(self.setup, read, with_sources), items, jobs):
             if isinstance(outcome, Exception):
                 yield outcome
                 continue
-            item, line = outcome
-            yield self._next(line) if self.rig is self.setup.rig else self._outcome(item, read)
+            item, alone = outcome
+            if self.rig is self.setup.rig:
+                yield replace(self._next(alone.line), shot=alone.shot, detection=alone.detection)
+            else:
+                yield self._outcome(item, read)
 
     def _outcome(self, item: Item, read: "Callable[[Item], Shot | Detection]") -> Measured | Exception:
         try:
@@ -230,9 +248,11 @@ class _ByItself:
 
     setup: Setup
     read: Callable[[Any], Shot | Detection]
+    with_sources: bool
 
-    def __call__(self, item: Any) -> tuple[Any, PoseLine]:
-        return item, self.setup.measure(self.read(item))
+    def __call__(self, item: Any) -> tuple[Any, Measured]:
+        measured = self.setup.measured(self.read(item))
+        return item, measured if self.with_sources else Measured(line=measured.line)
 
 
 def _measured(

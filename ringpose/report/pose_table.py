@@ -15,7 +15,13 @@ WIDTH = 80
 
 SHOT_WIDTH = 18
 
-HEADINGS = f"{'shot':{SHOT_WIDTH}} {'status':8}{'x':>8}{'y':>8}{'z':>8}{'+-':>6}{'pitch':>8}{'yaw':>8}{'+-':>6}"
+NUMBER_WIDTHS = (8, 8, 8, 6, 8, 8, 6)
+
+NUMBERS = ("x", "y", "z", "+-", "pitch", "yaw", "+-")
+
+HEADINGS = f"{'shot':{SHOT_WIDTH}} {'status':8}" + "".join(
+    f"{name:>{width}}" for name, width in zip(NUMBERS, NUMBER_WIDTHS, strict=True)
+)
 
 MOST_DECIMALS_MM, MOST_DECIMALS_DEG = 2, 3
 """Finer than any rig measures."""
@@ -35,31 +41,35 @@ class PoseTable:
         shot = line.shot if isinstance(line, PoseLine) else line.attempt.shot
         if len(shot) > SHOT_WIDTH:
             shot = f"{shot[: SHOT_WIDTH - 3]}..."
-        numbers = "" if line.pose is None else f"{_grasp_point(line.pose)}{_normal(line.pose)}"
+        cells = [] if line.pose is None else numbers_of(line.pose)
+        numbers = "".join(f"{cell:>{width}}" for cell, width in zip(cells, NUMBER_WIDTHS, strict=False))
         row = f"{shot:{SHOT_WIDTH}} {line.status:8}{numbers}".rstrip()
-        flags = "" if line.pose is None else ", ".join(names_of(line.flags & ~HARMLESS_FLAGS))
-        limits = "; ".join(filter(None, [flags, line.reason]))
-        further = textwrap.wrap(limits, WIDTH, initial_indent="    ", subsequent_indent="    ")
+        further = textwrap.wrap(limits_of(line), WIDTH, initial_indent="    ", subsequent_indent="    ")
         return "".join(f"{each}\n" for each in (*heading, row, *further))
 
 
-def _grasp_point(pose: RingPose) -> str:
-    """Millimetres, and the largest standard deviation."""
-    return _numbers(1e3 * pose.grasp_m, 1e3 * _sigma(pose.covariance_grasp_m2), 8, MOST_DECIMALS_MM)
+def numbers_of(pose: RingPose) -> list[str]:
+    """The grasp point in millimetres, pitch and yaw in degrees, each with the largest standard deviation.
 
-
-def _normal(pose: RingPose) -> str:
-    """Pitch and yaw in degrees, and the largest standard deviation of the normal."""
+    They have the digits that the standard deviations justify.
+    """
     tilts = None if pose.covariance is None else pose.covariance[:2, :2]
-    return _numbers(np.degrees([pose.pitch_rad, pose.yaw_rad]), math.degrees(_sigma(tilts)), 8, MOST_DECIMALS_DEG)
+    grasp_mm, sigma_mm = 1e3 * pose.grasp_m, 1e3 * _sigma(pose.covariance_grasp_m2)
+    angles_deg, sigma_deg = np.degrees([pose.pitch_rad, pose.yaw_rad]), math.degrees(_sigma(tilts))
+    return [*_numbers(grasp_mm, sigma_mm, MOST_DECIMALS_MM), *_numbers(angles_deg, sigma_deg, MOST_DECIMALS_DEG)]
+
+
+def limits_of(line: PoseLine | TrackLine) -> str:
+    """What degrades a pose, or why there is none."""
+    flags = "" if line.pose is None else ", ".join(names_of(line.flags & ~HARMLESS_FLAGS))
+    return "; ".join(filter(None, [flags, line.reason]))
 
 
 def _sigma(covariance: Float64[Array, "n n"] | None) -> float:
     return math.nan if covariance is None or not np.isfinite(covariance).all() else standard_deviation(covariance)
 
 
-def _numbers(values: Float64[Array, "n"], sigma: float, width: int, most: int) -> str:
+def _numbers(values: Float64[Array, "n"], sigma: float, most: int) -> list[str]:
     """The values and their standard deviation with the digits that it justifies: two of its own."""
     decimals = min(max(1 - math.floor(math.log10(sigma)), 0), most) if sigma > 0 else most
-    shown = [f"{value:{width}.{decimals}f}" if math.isfinite(value) else f"{'-':>{width}}" for value in values.tolist()]
-    return "".join(shown) + (f"{sigma:6.{decimals}f}" if math.isfinite(sigma) else f"{'-':>6}")
+    return [f"{value:.{decimals}f}" if math.isfinite(value) else "-" for value in (*values.tolist(), sigma)]

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from ringpose.estimate.covariance import standard_deviation
 from ringpose.report.figures import canvas, png_of
 from ringpose.report.page import Picture, Section, page
+from ringpose.report.pose_table import NUMBERS, limits_of, numbers_of
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import PoseLine, RingPose, Status
 from ringpose.types.table import Table
@@ -23,17 +24,39 @@ Values = Callable[[RingPose], tuple[Float64[Array, "part"], Float64[Array, "part
 """Values and standard deviations of one quantity, NaN where not determined."""
 
 
-def pose_report(lines: Sequence[PoseLine], worst: Sequence[Picture], title: str) -> str:
-    """A self-contained HTML page of all pose lines, in order; `worst` are pictures of the worst shots."""
-    sections = [_status_section(lines)]
+def pose_report(lines: Sequence[PoseLine], worst: Sequence[Picture], title: str, about: Sequence[str]) -> str:
+    """A self-contained HTML page of all pose lines, in order; `worst` are pictures of the worst shots.
+
+    `about` states what they were measured with.
+    """
+    sections = [Section(title="Measurement", text=about), _status_section(lines), _shots_section(lines)]
     sections += [
         Section(title=name, pictures=[_series_picture(lines, parts, unit, values, caption)])
         for name, parts, unit, values, caption in QUANTITIES
     ]
     if worst:
         text = "Without a pose first, then degraded ones, each by the standard deviation of the grasp point."
-        sections.append(Section(title="Worst shots", text=[text], pictures=worst))
+        sections.insert(3, Section(title="Worst shots", text=[text], pictures=worst))
     return page(title, sections)
+
+
+MAX_ROWS = 1000
+"""Rows of the table of shots; a page with more is slow to scroll."""
+
+
+def _shots_section(lines: Sequence[PoseLine]) -> Section:
+    """Each shot by name, in millimetres and degrees; of very many, those that are not `ok`."""
+    shown = lines if len(lines) <= MAX_ROWS else [line for line in lines if line.status != "ok"][:MAX_ROWS]
+    numbers = {line.shot: [] if line.pose is None else numbers_of(line.pose) for line in shown}
+    blank = [""] * len(NUMBERS)
+    rows = [[line.shot, line.status, *(numbers[line.shot] or blank), limits_of(line)] for line in shown]
+    text = (
+        [f"Grasp point in mm and normal in degrees, {lines[0].frame} frame, with standard deviations."] if lines else []
+    )
+    if len(shown) < len(lines):
+        text.append(f"{len(shown)} of {len(lines)} shots: those that are degraded or have no pose.")
+    headings = ("shot", "status", *NUMBERS, "flags and reason")
+    return Section(title="Shots", text=text, table=Table(headings=headings, rows=rows))
 
 
 def badness(line: PoseLine) -> tuple[int, float]:
@@ -78,7 +101,7 @@ def _status_picture(lines: Sequence[PoseLine]) -> Picture:
 def _series_picture(
     lines: Sequence[PoseLine], parts: Sequence[str], unit: str, values: Values, caption: str
 ) -> Picture:
-    """The parts of one quantity over time with one standard deviation on either side; below, the deviations alone."""
+    """The parts of one quantity over time with error bars, enlarged so that they show; below, the deviations alone."""
     place, label = _abscissa(lines)
     nothing = np.full(len(parts), np.nan)
     values_and_sigmas = [(nothing, nothing) if line.pose is None else values(line.pose) for line in lines]
@@ -87,11 +110,13 @@ def _series_picture(
     figure = canvas(10, 1.9 * len(parts) + 1.6)
     rows: list[Axes] = figure.subplots(len(parts) + 1, 1, sharex=True).tolist()
     for part, name in enumerate(parts):
+        sigmas = _sigmas_to_show(value[:, part], sigma[:, part])
         for status, color in STATUS_COLORS.items():
             here = np.array([line.status == status for line in lines], dtype=bool) & np.isfinite(value[:, part])
-            bars = {"yerr": np.nan_to_num(sigma[here, part]), "elinewidth": 1}
+            bars = {"yerr": np.nan_to_num(sigmas * sigma[here, part]), "elinewidth": 1.5, "capsize": 3}
             rows[part].errorbar(place[here], value[here, part], fmt=".", color=color, markersize=5, **bars)
         rows[part].set_ylabel(f"{name} ({unit})")
+        rows[part].set_title(f"bars: {sigmas} sigma{'s' if sigmas > 1 else ''}", loc="right", fontsize="small")
         rows[-1].plot(place, sigma[:, part], ".", markersize=4, label=name)
     rows[-1].set_yscale("log")
     rows[-1].set_ylabel(f"sigma ({unit})")
@@ -99,6 +124,19 @@ def _series_picture(
     rows[-1].xaxis.set_major_locator(MaxNLocator(integer=label == NUMBER))
     rows[-1].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     return Picture(png=png_of(figure), caption=caption)
+
+
+BAR_SHARE = 0.02
+"""Least half length of the median error bar, as a share of the range of the values: a few pixels."""
+
+
+def _sigmas_to_show(values: Float64[Array, "shot"], sigma: Float64[Array, "shot"]) -> int:
+    """Length of the error bars in standard deviations: the smallest power of ten that shows."""
+    known = np.isfinite(values) & np.isfinite(sigma) & (sigma > 0)
+    if not known.any():
+        return 1
+    ratio = BAR_SHARE * float(np.ptp(values[known])) / float(np.median(sigma[known]))
+    return int(10 ** np.ceil(np.log10(ratio))) if ratio > 1 else 1
 
 
 def _abscissa(lines: Sequence[PoseLine]) -> tuple[Float64[Array, "shot"], str]:
@@ -139,9 +177,9 @@ QUANTITIES: tuple[tuple[str, tuple[str, ...], str, Values, str], ...] = (
         ("x", "y", "z"),
         "mm",
         partial(_point, "grasp"),
-        "Grasp point, with one standard deviation; colours as above.",
+        "Grasp point, with error bars; colours as above.",
     ),
-    ("Centre", ("x", "y", "z"), "mm", partial(_point, "center"), "Centre of the ring, with one standard deviation."),
+    ("Centre", ("x", "y", "z"), "mm", partial(_point, "center"), "Centre of the ring, with error bars."),
     (
         "Normal",
         ("pitch", "yaw"),
@@ -149,6 +187,6 @@ QUANTITIES: tuple[tuple[str, tuple[str, ...], str, Values, str], ...] = (
         _angles,
         "Pitch and yaw of the normal; the standard deviation is that of the normal in its least certain direction.",
     ),
-    ("Radii", ("inner", "outer"), "mm", _radii, "Radii of the ring's edges, with one standard deviation."),
+    ("Radii", ("inner", "outer"), "mm", _radii, "Radii of the ring's edges, with error bars."),
 )
 """Title, parts, unit, values and caption of each figure."""

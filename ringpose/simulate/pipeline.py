@@ -27,8 +27,10 @@ _SHOTS, _BOARDS = 0, 1
 """First number of each seed, so that the noise of boards and shots is independent."""
 
 
-def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[tuple[Shot, Truth]]:
+def simulate(scene: Scene, count: int | None = None, jobs: int = 1, begin: int = 0) -> Iterator[tuple[Shot, Truth]]:
     """The first `count` shots of a scene, or all, each as soon as it is ready; `jobs` does not change the result.
+
+    The first `begin` of them are left out.
 
     A motion that does not cover them, or a part around the camera where one of the first `CHECKED_VIEWS` shots begins,
     is a `DataError` before the first is rendered.
@@ -41,7 +43,7 @@ def simulate(scene: Scene, count: int | None = None, jobs: int = 1) -> Iterator[
         last = views[shots - 1]
         exposure_s = view_exposure_s(scene, illuminated_ring(scene, last, scene.sequence))
         target_placement(scene, last, shot_begins_s(scene.sequence, exposure_s)[-1] + exposure_s)
-    return in_order(partial(simulated_shot, scene, views), shots, jobs)
+    return in_order(partial(simulated_shot, scene, views), shots, jobs, begin)
 
 
 CHECKED_VIEWS = 1000
@@ -136,11 +138,11 @@ def moving_truth(
 
 
 def simulated_boards(
-    scene: Scene, boards: BoardSet, count: int | None = None, jobs: int = 1
+    scene: Scene, boards: BoardSet, count: int | None = None, jobs: int = 1, begin: int = 0
 ) -> Iterator[tuple[Shot, NamedBoardPose]]:
-    """The first `count` views of a calibration board, or all, each with the true pose of the board."""
+    """The views of a calibration board from `begin` to `count`, or all, each with the true pose of the board."""
     poses = board_poses(scene, boards)[:count]
-    return in_order(partial(simulated_board, scene, boards, poses), len(poses), jobs)
+    return in_order(partial(simulated_board, scene, boards, poses), len(poses), jobs, begin)
 
 
 def simulated_board(

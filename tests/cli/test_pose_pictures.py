@@ -29,6 +29,9 @@ def test_a_shot_without_a_pose_is_drawn_and_reported(rig, detections, picture, t
 
     assert {path.stem for path in (tmp_path / "drawn").iterdir()} == {"a", "b", "c", "dark"}
     html = (tmp_path / "r.html").read_text()
+    assert re.search(r"Rig: .*rig\.yaml, SHA-256 [0-9a-f]{64}", html)
+    assert "Command: ringpose" in html
+    assert all(f"<td>{shot}</td><td>" in html for shot in ("a", "b", "c", "dark"))
     counted = dict(re.findall(r"<td>([^<]*)</td><td>(\d+)</td>", html))
     assert counted["status none"] == "1"
     worst = re.findall(r"<figcaption>(\w+): ", html)
@@ -38,6 +41,17 @@ def test_a_shot_without_a_pose_is_drawn_and_reported(rig, detections, picture, t
     decoded = [cv2.imdecode(np.frombuffer(base64.b64decode(each), np.uint8), 1) for each in pictures]
     assert len(decoded) == 1 + 4 + 4
     assert all(image is not None and image.std() > 0 for image in decoded)
+
+
+def test_pictures_by_several_processes_are_those_of_one(rig, detections, tmp_path, run):
+    words = ["pose", detections, "--rig", rig, "--method", "paper", "--no-times"]
+
+    lines = [run(*words, "--jobs", jobs, "--overlay", tmp_path / str(jobs)).out for jobs in (1, 2)]
+
+    assert lines[0] == lines[1]
+    assert sorted(path.name for path in (tmp_path / "2").iterdir()) == ["a.png", "b.png", "c.png"]
+    for picture in (tmp_path / "1").iterdir():
+        assert picture.read_bytes() == (tmp_path / "2" / picture.name).read_bytes()
 
 
 def test_existing_pictures_are_not_replaced_without_force(rig, detections, tmp_path, run):

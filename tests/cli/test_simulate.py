@@ -179,3 +179,29 @@ def test_an_interrupt_with_several_processes_is_quiet(scene, started):
     _, error = process.communicate(timeout=600)
 
     assert (process.returncode, error) == (130, "")
+
+
+def cut_off(truth: Path, lines: int) -> None:
+    """Leave the first lines of a truth file, as an interrupted run does."""
+    kept = truth.read_text().splitlines(keepends=True)
+    truth.write_text("".join(kept[:lines]) + kept[lines][:20])
+
+
+def test_an_interrupted_run_is_continued_and_another_seed_is_not(simulate, scene):
+    scene.write_text(yaml.safe_dump(SCENE | {"boards": BOARDS}))
+    whole = simulate()
+    out = scene.parent / "out"
+    truths = [out / "truth.jsonl", out / "calibration" / "camera_truth.jsonl"]
+    written = [truth.read_bytes() for truth in truths]
+    for truth in truths:
+        cut_off(truth, 1)
+    last = sorted((out / "shots").iterdir())[-1]
+    last.unlink()
+
+    other_seed = simulate("--seed", 9, "--resume")
+    found = simulate("--resume")
+
+    assert (other_seed.status, "has another shot" in other_seed.messages[0]) == (65, True)
+    assert (found.status, found.out) == (0, whole.out)
+    assert [truth.read_bytes() for truth in truths] == written
+    assert last.exists()

@@ -103,7 +103,7 @@ def test_a_page_is_imported_without_matplotlib():
 def test_a_report_of_no_shots_is_a_page(monkeypatch):
     monkeypatch.setattr("ringpose.report.poses.QUANTITIES", QUANTITIES[:1])  # each has a figure, for 0.2 s
 
-    html = pose_report([], [], "no shots")
+    html = pose_report([], [], "no shots", ["Rig: rig.yaml."])
 
     assert html.startswith("<!DOCTYPE html>")
     assert "no shots" in html

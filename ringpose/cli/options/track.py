@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import OUTPUT, ROBOT, TRACK, check_plausible, number_option
+from ringpose.cli.app import OUTPUT, ROBOT, TRACK, check_plausible, file_option, number_option
 from ringpose.cli.batch import Batch
 from ringpose.cli.options.robot import tool_poses
 from ringpose.errors import NO_POSE, UsageError
@@ -21,6 +21,7 @@ from ringpose.types.options import STDIN
 from ringpose.types.plausible import GRIPPER_M
 
 if TYPE_CHECKING:
+    from ringpose.files.records.line_file import LineFile
     from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.track.explanations import Gripper, TrackOptions
     from ringpose.types.assumptions import AssumptionOptions
@@ -68,21 +69,40 @@ class LineOptions:
         False
     )
     brief: Annotated[
-        bool, typer.Option("--brief", help="Write lines without what only filters and experts use, which is long.")
+        bool, typer.Option("--brief", help="Write lines without what only filters and experts use, and fewer digits.")
+    ] = False
+    output: Annotated[
+        Path | None,
+        file_option("--output", "-o", meaning="Write the lines into this file, which appears when it is complete."),
+    ] = None
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Of --output: continue an interrupted run with the same inputs.")
     ] = False
     no_times: Annotated[
         bool, typer.Option("--no-times", help="Write no durations: the same input gives the same output, byte by byte.")
     ] = False
 
     def check(self) -> None:
-        """Reject a name of a frame that is empty or of no use."""
+        """Reject options that are of no use together, and an empty name of a frame."""
+        if self.resume and self.output is None:
+            raise UsageError("--resume", "is of no use without --output", "give --output FILE, too")
+        if self.output is not None and self.newest:
+            raise UsageError("--newest", "is for readers of standard output", "leave it out, or --output")
         if self.frame_id is not None and self.output_format is not Format.ROS:
             raise UsageError("--frame-id", "is of no use without --format ros", "leave it out, or add the format")
         if self.frame_id is not None and not self.frame_id.strip():
             raise UsageError("--frame-id", "is empty", "name the frame as in the TF tree, as camera_optical_frame")
 
-    def writer(self, stack: ExitStack) -> "Callable[[PoseLine | TrackLine], None]":
-        """A function that writes lines; with `newest` a slow reader gets the newest one, by a thread of the stack.
+    def file(self, stack: ExitStack, *, force: bool) -> "LineFile | None":
+        """The file of --output, which the stack completes; None without it."""
+        if self.output is None:
+            return None
+        from ringpose.files.records.line_file import LineFile
+
+        return stack.enter_context(LineFile(self.output, force=force, resume=self.resume))
+
+    def writer(self, stack: ExitStack, file: "LineFile | None") -> "Callable[[PoseLine | TrackLine], None]":
+        """A function that writes lines to the file, or stdout; with `newest` a slow reader gets the newest one.
 
         A terminal gets a table unless something is said about the records.
         """
@@ -94,7 +114,9 @@ class LineOptions:
 
             table = PoseTable()
             return lambda line: records.write_text(table.text(line))
-        write, record = stack.enter_context(NewestWriter()).write if self.newest else records.write, self._record()
+        record, write = self._record(), records.write if file is None else file.write
+        if self.newest:
+            write = stack.enter_context(NewestWriter()).write
         return lambda line: write(record(line.without_times if self.no_times else line))
 
     def _record(self) -> "Callable[[PoseLine | TrackLine], Mapping[str, Any]]":
@@ -105,7 +127,11 @@ class LineOptions:
             return partial(ros_messages, frame_id=self.frame_id)
         from ringpose.files.records.tracks import line_record
 
-        return partial(line_record, brief=self.brief)
+        if not self.brief:
+            return line_record
+        from ringpose.files.records.brief import rounded
+
+        return lambda line: rounded(line_record(line, brief=True))
 
 
 @dataclass(frozen=True, slots=True)

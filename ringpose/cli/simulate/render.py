@@ -1,11 +1,12 @@
 """`ringpose simulate`: render shots with ground truth, and calibration views, from a scene."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ringpose.cli.app import Force, Quiet, Verbose, app
+from ringpose.cli.batch import Jobs
 from ringpose.cli.simulate.console import console
 from ringpose.cli.simulate.features import (
     Background,
@@ -18,6 +19,10 @@ from ringpose.cli.simulate.features import (
     RingTolerance,
 )
 from ringpose.cli.simulate.serve import serve
+
+if TYPE_CHECKING:
+    from ringpose.files.images.simulations import SimulationFolder
+    from ringpose.types.scene import Scene
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene (scene.yaml).")]
 OutputFolder = Annotated[
@@ -34,15 +39,8 @@ Count = Annotated[
     typer.Option("--count", metavar="N", min=1, help="Render only the first N shots, and views of each board."),
 ]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the scene's.")]
-Jobs = Annotated[
-    int,
-    typer.Option(
-        "--jobs",
-        "-j",
-        metavar="N",
-        min=0,
-        help="Processes; 0 is one per core. Shots do not depend on it.",
-    ),
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Continue an interrupted run of the same scene, seed and version.")
 ]
 
 
@@ -53,6 +51,7 @@ def simulate(
     count: Count = None,
     seed: Seed = None,
     jobs: Jobs = 0,
+    resume: Resume = False,
     features: Features = False,
     max_speed: MaxSpeed = None,
     max_rate: MaxRate = None,
@@ -73,11 +72,10 @@ def simulate(
     from ringpose.cli.simulate.features import deviations_of, report_stripes, write_features
     from ringpose.errors import UsageError
     from ringpose.files import records
-    from ringpose.files.images.simulations import SimulationFolder
+    from ringpose.files.images.simulations import TRUTH, SimulationFolder, listed
+    from ringpose.files.records.truths import read_truths
     from ringpose.files.scenes.scene import read_scene
-    from ringpose.processes import cores
     from ringpose.simulate.pipeline import simulate as simulated
-    from ringpose.simulate.pipeline import simulated_boards
 
     drawn = (max_speed, max_rate, ring_tolerance, rig_errors, displaced, background, missing)
     if not features and any(value is not None and value is not False for value in drawn):
@@ -86,26 +84,37 @@ def simulate(
         raise UsageError("", "--output is missing", "give --output DIR")
     read = read_scene(scene)
     seeded = read if seed is None else replace(read, seed=seed)
+    if resume and features:
+        raise UsageError("--resume", "is for rendered shots", "leave it out: features are drawn at once")
     if features or output is None:
         deviations = deviations_of(*drawn, moves=read.motion is not None)
         write_features(seeded, scene, deviations, count, output, force=force, quiet=quiet)
         return
-    processes = jobs or cores()
-    shots = simulated(seeded, count, processes)  # checks the motion before anything is written
-    folder = SimulationFolder(output, read.rig, force=force, inputs=[scene])
-    truths = []
+    done = listed(output / TRUTH) if resume else []
+    begin = max(len(done) - 1, 0)  # the last one is rendered again, and must be the same
+    shots = simulated(seeded, count, jobs, begin)  # checks the motion before anything is written
+    folder = SimulationFolder(output, read.rig, force=force, inputs=[scene], resume=resume)
+    for name in done[:-1]:
+        records.write_name(output / "shots" / f"{name}.npz")
     for shot, truth in with_progress(shots, "shots", quiet):
         records.write_name(folder.add(shot, truth))
-        truths.append(truth)
         if verbose:
             messages.echo(
                 f"{shot.name}: {len(shot.images)} frames of {1e3 * shot.exposure_s[0]:.3f} ms, {truth.expect}"
             )
-    report_stripes(truths, read.rig, quiet=quiet)
-    for name, boards in (("camera", seeded.camera_boards), ("plane", seeded.plane_boards)):
+    report_stripes(list(read_truths(output / TRUTH)), read.rig, quiet=quiet)
+    _simulate_boards(seeded, folder, count, jobs, quiet=quiet)
+
+
+def _simulate_boards(scene: "Scene", folder: "SimulationFolder", count: int | None, jobs: int, *, quiet: bool) -> None:
+    """Write the calibration views of a scene."""
+    from ringpose.cli.batch import with_progress
+    from ringpose.simulate.pipeline import simulated_boards
+
+    for name, boards in (("camera", scene.camera_boards), ("plane", scene.plane_boards)):
         if boards is not None:
-            views = with_progress(simulated_boards(seeded, boards, count, processes), f"{name} board views", quiet)
-            folder.add_boards(name, boards.board, views)
+            views = simulated_boards(scene, boards, count, jobs, folder.begin_boards(name, boards.board))
+            folder.add_boards(name, with_progress(views, f"{name} board views", quiet))
 
 
 app.command("simulate serve")(serve)

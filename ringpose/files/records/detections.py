@@ -10,6 +10,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.files import atomic, records
+from ringpose.files.inputs import Input, Problem
 from ringpose.files.io import provenance
 from ringpose.files.npz import Archive, write_archive
 from ringpose.files.records.codec import RecordType
@@ -144,6 +145,16 @@ class DetectionSink:
         self.full = full
         self.force = force
         self.names: set[str] = set()
+
+    def has(self, item: Input | Problem) -> bool:
+        """Whether the detection of an input is in the folder already; its name is printed then."""
+        if self.folder is None or not isinstance(item, Path) or item.stem in self.names:
+            return False
+        path = self.folder / f"{item.stem}.npz"
+        if path.exists():
+            self.names.add(item.stem)
+            records.write_name(path)
+        return item.stem in self.names
 
     def write(self, detection: Detection, source: Path) -> None:
         """Write one detection; the name of its file is printed when the file is complete."""
