@@ -81,7 +81,7 @@ def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str) -> str:
         "middle_m": about.middle_m.tolist(),
         "radius_m": about.radius_m,
         "elements": [_values_of(element) for element in drawing.rig_elements(rig, ALL_LASERS, about.target_m)],
-        "legend": [{"text": text, "color": _css(color)} for text, color in LEGEND],
+        "legend": _legend(shots, poses),
         "times_s": times_s(shots),
         "timed": are_timed(shots) and len(shots) > 1,
         "shots": [_shot_values(shot, pose, rig) for shot, pose in zip(shots, poses, strict=True)],
@@ -92,13 +92,19 @@ def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str) -> str:
     return template.substitute(title=escape(title), data=text)
 
 
-LEGEND = (
-    ("estimate", drawing.RING_STYLES["pose"].color),
-    ("truth, dashed", drawing.RING_STYLES["truth"].color),
-    ("track, dotted", drawing.RING_STYLES["track"].color),
-    ("grasp point", drawing.GRASP_COLOR),
-    (f"centre, {drawing.CENTER_SIGMAS:g} sigma", drawing.CENTER_COLOR),
-)
+def _legend(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> list[dict[str, str]]:
+    """What the colours of the three-dimensional view mean, of what some shot has."""
+    estimate = (
+        ("estimate", drawing.RING_STYLES["pose"].color),
+        ("grasp point", drawing.GRASP_COLOR),
+        (f"centre, {drawing.CENTER_SIGMAS:g} sigma", drawing.CENTER_COLOR),
+    )
+    entries = estimate if any(pose is not None for pose in poses) else ()
+    if any(shot.truth is not None for shot in shots):
+        entries = (*entries, ("truth, dashed", drawing.RING_STYLES["truth"].color))
+    if any(shot.track is not None for shot in shots):
+        entries = (*entries, ("track, dotted", drawing.RING_STYLES["track"].color))
+    return [{"text": text, "color": _css(color)} for text, color in entries]
 
 
 def _shot_values(shot: ReplayShot, pose: RingPose | None, rig: Rig) -> dict[str, Any]:
@@ -150,7 +156,7 @@ def _texts(shot: ReplayShot, pose: RingPose | None) -> list[tuple[str, str]]:
 
 def _title(name: str) -> str:
     """The name of an error without its unit, which is another in the page."""
-    return name.rpartition("_")[0].replace("_", " ")
+    return name.rpartition("_")[0].replace("_", " ").replace("center", "centre")
 
 
 def _plots(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> list[dict[str, Any]]:

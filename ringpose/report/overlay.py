@@ -156,6 +156,8 @@ def _draw_detection(drawing: "Drawing", detection: Detection, line: PoseLine | N
     if isinstance(detection.break_points, BreakPoints):
         _draw_break_points(drawing, detection.break_points, rejected)
         _draw_left_out(drawing, detection.break_points, detection.stripes, rejected)
+        if drawing.labels:
+            drawing.explain(f"ellipses of break points: {ELLIPSE_SIGMAS:.0f} sigmas", UNLABELLED_COLOR)
 
 
 class Drawing:
@@ -286,7 +288,6 @@ def _draw_break_point(
     cv2.drawMarker(drawing.picture, pixel, color, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
     cv2.circle(drawing.picture, _fixed(position[None])[0], 6 << _BITS, color, 1, cv2.LINE_AA, _BITS)
     drawing.explain(REJECTED if is_rejected else f"laser {name}", color)
-    drawing.explain(f"ellipses of break points: {ELLIPSE_SIGMAS:.0f} sigmas", UNLABELLED_COLOR)
     words = [*flags, REJECTED] if is_rejected else flags
     drawing.labels.append((f"{name} {EDGES[edge]}", position, color))
     if words:

@@ -49,8 +49,17 @@ def test_a_replay_in_one_file_draws_its_scene_and_requests_nothing(chromium, car
         const pixels = new Uint32Array(canvas.getContext("2d").getImageData(...area).data.buffer);
         return new Set(pixels).size; }"""
     )
+    filled = page.evaluate(
+        """() => { const canvas = document.getElementById("scene"), [w, h] = [canvas.width, canvas.height];
+        const pixels = new Uint32Array(canvas.getContext("2d").getImageData(0, 0, w, h).data.buffer);
+        const x = [w, 0], y = [h, 0];
+        pixels.forEach((color, k) => { if (!color) return; const c = k % w, r = Math.floor(k / w);
+          x[0] = Math.min(x[0], c); x[1] = Math.max(x[1], c); y[0] = Math.min(y[0], r); y[1] = Math.max(y[1], r); });
+        return Math.max((x[1] - x[0]) / w, (y[1] - y[0]) / h); }"""
+    )
     page.close()
     assert drawn > 100  # shades of the rings, planes and words
+    assert filled > 0.85
     assert not problems
     assert {url for url in requested if not url.startswith("data:")} == {file.as_uri()}
 

@@ -27,13 +27,23 @@ from ringpose.simulate.placement import image_ray, ring_rotation
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import NOISE_ONLY, RigStability
 from ringpose.types.detection import BreakPoints
-from ringpose.types.pose import KnownRadii, PoseFlag
+from ringpose.types.pose import KnownRadii, PoseFlag, PoseLine
 from ringpose.types.rig import Rig
 from ringpose.types.scene import RingView, Scene
 from ringpose.types.table import Table
 
-WEAK = PoseFlag.CENTER_WEAK | PoseFlag.NORMAL_WEAK | PoseFlag.RADIUS_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.SIDE_UNKNOWN
-"""Flags of a pose whose errors are not at the bound: a linear approximation does not describe them."""
+_CENTER_WEAK = PoseFlag.CENTER_WEAK | PoseFlag.SIDE_UNKNOWN
+
+WEAK: Mapping[str, PoseFlag] = {
+    "center_m": _CENTER_WEAK,
+    "normal_rad": PoseFlag.NORMAL_WEAK,
+    "radius_outer_m": PoseFlag.RADIUS_WEAK,
+    "grasp_m": PoseFlag.GRASP_WEAK,
+}
+"""Flags with which errors of a quantity are not at the bound: a linear approximation does not describe them."""
+
+WEAK_KNOWN: Mapping[str, PoseFlag] = {"center_known_m": _CENTER_WEAK, "normal_known_rad": PoseFlag.NORMAL_WEAK}
+"""The same of the quantities with known radii."""
 
 PAPER_ANGLES = {"the paper's +-1.5 deg": radians(1.5), "the paper's +-10 deg": radians(10.0)}
 
@@ -66,23 +76,26 @@ class PlaceResult:
     """Number of stripes whose two break points are in view."""
     sd: Mapping[str, float]
     """Bounds by the names of `QUANTITIES`; NaN where the quantity is not determined."""
-    weak: bool
-    """Whether the estimator does not reach the bound of the ring without known radii."""
-    weak_known: bool
+    weak_quantities: frozenset[str]
+    """Those of which the estimator does not reach the bound."""
     light_beyond: bool
     """Whether light of the same laser on another surface hides an end of a stripe, which the bound does not include."""
     ambiguous: bool
     """Whether the stripes of one frame with all lasers on can be assigned to the lasers in several ways."""
 
-    @property
-    def above_bound(self) -> bool:
-        """Whether errors are known to be larger than the bound."""
-        return self.weak or self.light_beyond
+    def above_bound(self, quantity: str) -> bool:
+        """Whether errors of a quantity are known to be larger than the bound."""
+        return self.light_beyond or quantity in self.weak_quantities
 
     @property
-    def above_bound_known(self) -> bool:
-        """Whether errors are known to be larger than the bound for known radii."""
-        return self.weak_known or self.light_beyond
+    def weak(self) -> bool:
+        """Whether the estimator does not reach a bound of the ring without known radii."""
+        return any(quantity in self.weak_quantities for quantity in WEAK)
+
+    @property
+    def weak_known(self) -> bool:
+        """The same with known radii."""
+        return any(quantity in self.weak_quantities for quantity in WEAK_KNOWN)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -194,8 +207,7 @@ def place_result(scene: Scene, place: Place) -> PlaceResult:
         place=place,
         stripes=stripes,
         sd=sd,
-        weak=line.pose is None or bool(line.flags & WEAK),
-        weak_known=known.pose is None or bool(known.flags & WEAK),
+        weak_quantities=_weak(line, WEAK) | _weak(known, WEAK_KNOWN),
         light_beyond=drawn.truth.break_points_px is not None and _light_beyond(at_place, drawn.truth.break_points_px),
         ambiguous=bool(one_frame.flags & PoseFlag.ASSIGNMENT_AMBIGUOUS),
     )
@@ -249,24 +261,42 @@ def _light_beyond(scene: Scene, break_points_px: Float64[Array, "laser edge=2 xy
     return False
 
 
+def _weak(line: PoseLine, flags: Mapping[str, PoseFlag]) -> frozenset[str]:
+    """The quantities that a pose does not determine, or weakly."""
+    return frozenset(name for name, weak in flags.items() if line.pose is None or line.flags & weak)
+
+
+MEDIANS_NOTE = (
+    "Medians of the standard deviations over the places of a distance, in mm and degrees; known: the centre, with "
+    "known radii; >: at half of the places or more, errors are larger than this (hatched in the maps); -: not "
+    "determined."
+)
+
+
 def median_table(mapped: Sequence[Design]) -> Table:
     """A row of text for each design and distance: medians over the places."""
     medians = {
-        "center mm": ("center_m", 1e3),
-        "normal deg": ("normal_rad", degrees(1.0)),
-        "r_out mm": ("radius_outer_m", 1e3),
-        "grasp mm": ("grasp_m", 1e3),
-        "center mm (r known)": ("center_known_m", 1e3),
+        "center": ("center_m", 1e3),
+        "normal": ("normal_rad", degrees(1.0)),
+        "r_out": ("radius_outer_m", 1e3),
+        "grasp": ("grasp_m", 1e3),
+        "known": ("center_known_m", 1e3),
     }
     rows = []
     for design in mapped:
         for distance_m in sorted({result.place.distance_m for result in design.results}):
             results = tuple(result for result in design.results if result.place.distance_m == distance_m)
             here = replace(design, results=results)
-            shares = [f"{100 * share:.0f} %" for share in (here.coverage(), here.share("above_bound"))]
-            values = [number(factor * here.median(name)) for name, factor in medians.values()]
-            rows.append([design.name, f"{1e3 * distance_m:.0f} mm", shares[0], *values, shares[1]])
-    return Table(headings=["rig", "distance", "in view", *medians, "above bound"], rows=rows)
+            values = [_bound(here, name, factor) for name, factor in medians.values()]
+            rows.append([design.name, f"{1e3 * distance_m:.0f}", f"{100 * here.coverage():.0f} %", *values])
+    return Table(headings=["rig", "mm", "in view", *medians], rows=rows)
+
+
+def _bound(design: Design, quantity: str, factor: float) -> str:
+    """The median of a quantity, and whether errors are larger at most places."""
+    median = design.median(quantity)
+    is_above = np.mean([result.above_bound(quantity) for result in design.results]) >= 0.5
+    return f"{'>' if is_above and np.isfinite(median) else ''}{number(factor * median)}"
 
 
 def summary_lines(mapped: Sequence[Design]) -> list[str]:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter
 
-from ringpose.bench.design.maps import Design, median_table, summary_lines
+from ringpose.bench.design.maps import MEDIANS_NOTE, Design, median_table, summary_lines
 from ringpose.report.figures import canvas, drawn, png_of
 from ringpose.report.page import Picture, Section, page
 from ringpose.types.arrays import Array, Float64
@@ -28,20 +28,24 @@ UNITS = {
     "radius_outer_m": ("outer radius", 1e3, "mm"),
 }
 
-_ABOVE_BOUND = {"center_known_m": "above_bound_known"}
 
+def design_report(
+    mapped: Sequence[Design], chosen: Design | None, quantity: str, min_coverage: float, provenance: Mapping[str, Any]
+) -> str:
+    """HTML page: what was chosen, tables, maps, curves and sketches.
 
-def design_report(mapped: Sequence[Design], chosen: Design | None, quantity: str, provenance: Mapping[str, Any]) -> str:
-    """HTML page: what was chosen, tables, maps, curves and sketches."""
+    `min_coverage`: share of the places with all stripes in view, below which a rig was not chosen.
+    """
     shown = _shown(mapped, chosen, quantity)
     label = UNITS[quantity][0]
     sections = [
         Section(
             title="Result",
             text=[
-                f"Best by the median standard deviation of the {label}: {chosen.name}."
+                f"Best by the median standard deviation of the {label} over all places, of the rigs with all stripes "
+                f"in view at {100 * min_coverage:g} % of them: {chosen.name}."
                 if chosen is not None
-                else "No rig has all stripes in view at enough places.",
+                else f"No rig has all stripes in view at {100 * min_coverage:g} % of the places.",
                 "All values are Cramér-Rao bounds: the smallest standard deviations of an unbiased estimator, with the "
                 "noise of the simulated sensor, the covariance of the calibration and the rig's stability.",
             ],
@@ -51,7 +55,7 @@ def design_report(mapped: Sequence[Design], chosen: Design | None, quantity: str
             title="Maps", pictures=[_maps(shown, name) for name in dict.fromkeys((quantity, "normal_rad", "grasp_m"))]
         ),
         Section(title="Fields of view and stripes", points=summary_lines(mapped)),
-        Section(title="Medians by distance", table=median_table(mapped)),
+        Section(title="Medians by distance", text=[MEDIANS_NOTE], table=median_table(mapped)),
         Section(title="Provenance", text=[f"{key}: {value}" for key, value in provenance.items()]),
     ]
     return page("Rig design", sections)
@@ -126,7 +130,7 @@ def _maps(shown: Sequence[Design], quantity: str) -> Picture:
     finite = values[np.isfinite(values)]
     norm = LogNorm(float(finite.min()), float(finite.max())) if len(finite) and finite.min() < finite.max() else None
     for axis, design, of_places in zip(axes, shown, values, strict=True):
-        mesh = _map(axis, design, of_places, norm, _ABOVE_BOUND.get(quantity, "above_bound"))
+        mesh = _map(axis, design, of_places, norm, quantity)
     figure.supxlabel("offset from the image centre (image widths)", fontsize=9)
     figure.supylabel("distance (mm)", fontsize=9)
     bar = figure.colorbar(mesh, ax=axes, label=f"{label} ({unit})")
@@ -134,13 +138,13 @@ def _maps(shown: Sequence[Design], quantity: str) -> Picture:
         ticks(FuncFormatter(_tick))
     caption = (
         f"Standard deviation of the {label} ({unit}). Hatched: errors are larger than the bound, since the pose is "
-        "flagged as weak, or light of the same laser beyond a stripe hides its end. Grey: not determined. Numbers: "
-        "stripes in view, where not all are."
+        "flagged as weak in this quantity, or light of the same laser beyond a stripe hides its end. Grey: "
+        "not determined. Numbers: stripes in view, where not all are."
     )
     return Picture(png=png_of(figure), caption=caption)
 
 
-def _map(axis: Axes, design: Design, values: Float64[Array, "place"], norm: LogNorm | None, above: str) -> Any:
+def _map(axis: Axes, design: Design, values: Float64[Array, "place"], norm: LogNorm | None, quantity: str) -> Any:
     """Draw a map; its places are a grid, row after row (`ringpose.bench.design.maps.places`)."""
     distances_m = sorted({result.place.distance_m for result in design.results})
     offsets = sorted({result.place.offset_x for result in design.results})
@@ -149,7 +153,7 @@ def _map(axis: Axes, design: Design, values: Float64[Array, "place"], norm: LogN
     mesh = axis.pcolormesh(grid, norm=norm, cmap="viridis_r")
     for number, result in enumerate(design.results):
         row, column = divmod(number, len(offsets))
-        if getattr(result, above):
+        if result.above_bound(quantity):
             dark = norm is not None and np.ma.filled(norm(values[number]), 0.0) > 0.5
             edge = "0.9" if dark else "0.3"
             axis.add_patch(Rectangle((column, row), 1, 1, fill=False, hatch="////", edgecolor=edge, linewidth=0))

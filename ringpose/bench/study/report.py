@@ -48,25 +48,20 @@ Rows = Callable[[], Iterable[Row]]
 def study_report(
     study: Study, summary: StudySummary, rows: Rows, overlays: Sequence[Picture], provenance: Mapping[str, Any]
 ) -> str:
-    """HTML page: tables, errors beside their bounds, consistency, failures with the worst shots, times, provenance."""
+    """HTML page: charts of errors and consistency, set-up, failures with the worst shots, tables, times, provenance."""
     columns = _columns(study, rows())
-    pictures = [_errors(summary), _scatter(study, columns)]
     sections = [
+        Section(title="Errors beside their Cramér-Rao bounds", pictures=[_errors(summary), _scatter(study, columns)]),
+        Section(title="Consistency of the reported covariances", pictures=[_nees(summary), *_reliability(columns)]),
         Section(
             title="Set-up",
             text=[_set_up_text(study), "Methods: " + ", ".join(summary.methods) + "."],
             pictures=[_sketch(study, columns)],
         ),
-        Section(title="Errors in the form of the paper's tables", table=_paper_table(study, summary)),
-        Section(
-            title="Errors beside their Cramér-Rao bounds", table=_cells_table(summary, ERRORS_SHOWN), pictures=pictures
-        ),
-        Section(
-            title="Availability, and consistency of the reported covariances",
-            table=_cells_table(summary, CONSISTENCY_SHOWN),
-            pictures=[_nees(summary), *_reliability(columns)],
-        ),
         Section(title="Failures", table=_failures(summary), pictures=overlays),
+        Section(title="Errors in the form of the paper's tables", table=_paper_table(study, summary)),
+        Section(title="Errors and bounds in each cell", table=_cells_table(summary, ERRORS_SHOWN)),
+        Section(title="Availability and consistency in each cell", table=_cells_table(summary, CONSISTENCY_SHOWN)),
         Section(title="Time by stage", table=_times(study, summary)),
         Section(title="Provenance", text=[f"{key}: {_plain(value)}" for key, value in provenance.items()]),
     ]

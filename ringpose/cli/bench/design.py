@@ -95,9 +95,18 @@ def design(
 ) -> None:
     """Map the accuracy that a rig allows (Cramer-Rao bounds), and find the best of a sweep."""
     from math import radians
+    from textwrap import wrap
 
     from ringpose.bench.design.crossings import crossing_table, crossings, limit_lines
-    from ringpose.bench.design.maps import best, designs, median_table, place_table, places, summary_lines
+    from ringpose.bench.design.maps import (
+        MEDIANS_NOTE,
+        best,
+        designs,
+        median_table,
+        place_table,
+        places,
+        summary_lines,
+    )
     from ringpose.files import records
     from ringpose.files.atomic import reject_existing
     from ringpose.files.io import csv_text, write_result
@@ -128,6 +137,7 @@ def design(
         )
         lines = [
             *median_table(mapped).lines(),
+            *wrap(MEDIANS_NOTE, 80),
             "",
             *summary_lines(mapped),
             "",
@@ -146,7 +156,9 @@ def design(
         from ringpose.bench.design.report import design_report
         from ringpose.files.io import provenance, write_page
 
-        write_page(report, design_report(mapped, chosen, QUANTITY[minimize], provenance([rig])), force=force)
+        write_page(
+            report, design_report(mapped, chosen, QUANTITY[minimize], min_coverage, provenance([rig])), force=force
+        )
     if chosen is None:
         raise typer.Exit(NO_POSE)
 

@@ -68,7 +68,7 @@ def random_places(scene, rng):
             pitch_rad=float(rng.uniform(-0.15, 0.15)),
             yaw_rad=float(rng.uniform(-0.15, 0.15)),
         )
-        if not place_result(scene, place).above_bound:
+        if not place_result(scene, place).above_bound("center_m"):
             yield place
 
 
@@ -91,9 +91,9 @@ def test_rendered_shots_have_the_errors_of_the_map_where_it_is_not_hatched(scene
 def test_a_map_is_hatched_where_the_stripe_on_the_body_is_beside_that_on_the_face(scene):
     near, far = Place(distance_m=0.4), Place(distance_m=0.7)
 
-    assert not place_result(scene, near).above_bound
-    assert place_result(scene, far).above_bound
-    assert not place_result(replace(scene, body=None), far).above_bound
+    assert not place_result(scene, near).above_bound("grasp_m")
+    assert place_result(scene, far).above_bound("grasp_m")
+    assert not place_result(replace(scene, body=None), far).above_bound("grasp_m")
 
 
 def test_known_radii_and_a_stable_rig_lower_the_bound(scene, uncertain):
