@@ -27,6 +27,7 @@ from ringpose.files.studies.specification import StudyFile
 from ringpose.measure.status import RULES, FlagRule
 from ringpose.types.board import Board
 from ringpose.types.detection import BreakPoints, Detection
+from ringpose.types.points import ShotPoints
 from ringpose.types.pose import HARMLESS_FLAGS, PoseLine, Priors, RingMeasurement, RingPose
 from ringpose.types.rig import RobotPose
 from ringpose.types.scene import Approach
@@ -74,7 +75,7 @@ def _usable(rule: FlagRule, quantity: str) -> str:
     return "no (*)" if rule.unless else "no"
 
 
-PARTS = (PoseLine, RingPose, RingMeasurement, Priors, TrackLine, Detection, BreakPoints)
+PARTS = (PoseLine, RingPose, RingMeasurement, Priors, TrackLine, Detection, BreakPoints, ShotPoints)
 """Classes whose keys have a table of their own in records(5)."""
 
 OF_SCENE = (

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -316,3 +317,27 @@ def test_the_controller_ends_silently_on_sigint():
         stderr = process.stderr.read()
 
     assert (process.returncode, stderr) == (130, "")
+
+
+@pytest.mark.slow
+def test_a_scanned_ring_is_one_cloud_in_the_base_and_lies_on_the_true_ring(tmp_path, monkeypatch):
+    from ringpose.files.point_clouds import read_point_cloud
+
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / "scan_ring.py", tmp_path, "--views", "3"],
+        env=ENVIRONMENT, capture_output=True, text=True, timeout=3000,
+    )  # fmt: skip
+    base_from_ring = runpy.run_path(str(EXAMPLES / "simulated_robot.py"))["BASE_FROM_TARGET"]["ring"]
+
+    assert done.returncode == 0, done.stderr
+    cloud = read_point_cloud(tmp_path / "cloud.ply", 100_000)
+    on_ring_m = (cloud.position_m - base_from_ring[:3, 3]) @ base_from_ring[:3, :3]
+    radius_m = np.hypot(on_ring_m[:, 0], on_ring_m[:, 1])
+    on_face = (radius_m > 0.568) & (radius_m < 0.596) & (np.abs(on_ring_m[:, 2]) < 0.01)
+    assert (cloud.frame, len(cloud.shots)) == ("base", 3)
+    assert np.bincount(cloud.shot[on_face]).min() > 100
+    assert np.std(on_ring_m[on_face, 2]) < 1e-3
+    angle = np.arctan2(on_ring_m[on_face, 1], on_ring_m[on_face, 0])
+    assert np.ptp(angle) > 4.0  # around the ring, not beside one place of it
+    assert '"points_mm"' in (tmp_path / "scan.html").read_text()

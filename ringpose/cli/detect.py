@@ -1,5 +1,7 @@
 """`ringpose detect`: images or shots -> break points."""
 
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,11 +24,14 @@ from ringpose.cli.app import (
 )
 from ringpose.cli.batch import Batch, Jobs, with_progress
 from ringpose.cli.options.assumptions import Assumed
+from ringpose.cli.options.points import PointOptions
 from ringpose.errors import NO_POSE, UsageError
 from ringpose.types.options import SegmentMethod, StripeSource
 
 if TYPE_CHECKING:
     from ringpose.files.inputs import Input
+    from ringpose.files.records.detections import DetectionSink
+    from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.types.assumptions import AssumptionOptions
     from ringpose.types.detection import BreakPoints, Detection
     from ringpose.types.image import Shot
@@ -86,6 +91,7 @@ def detect(
     track: Track = False,
     assumed: Assumed,
     full: Full = False,
+    space: PointOptions,
     resume: Resume = False,
     jobs: Jobs = 1,
     channel: ImageChannel = None,
@@ -93,22 +99,18 @@ def detect(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find the laser stripes, and where they end on the ring."""
-    from ringpose.cli.overlays import OverlayFolder
+    """Find the laser stripes, and where they end on the ring, also as points in space."""
     from ringpose.files.images.shots import SHOT_SUFFIXES
     from ringpose.files.inputs import inputs as named
     from ringpose.files.records.detections import DetectionSink
     from ringpose.files.rigs import read_rig
 
-    if segments_only and (track or stripes is not StripeSource.CENTERS):
-        raise UsageError("--segments-only", "searches no stripes", "leave out --track and --stripes")
-    if not segments_only:
-        _check_search(rig, method)
-    if track and jobs > 1:
-        raise UsageError("--jobs", "is of no use with --track", "each shot needs the result of the previous one")
+    _check_search(rig, method, segments_only=segments_only, track=track, stripes=stripes)
+    _check_order(track, jobs, resume, output)
+    space.check(None if segments_only else rig, output, force, resume)
     loaded_rig = None if rig is None else read_rig(rig)
+    motion = space.motion(loaded_rig, rig, inputs)
     sink = DetectionSink(output, rig=rig, full=full or segments_only, force=force)
-    overlays = None if overlay is None else OverlayFolder(overlay, force=force)
     batch = Batch()
     work = DetectInput(
         rig=loaded_rig,
@@ -118,27 +120,56 @@ def detect(
         stripes=stripes,
         track=track,
         options=assumed.options,
+        camera=None if motion is None or motion.is_at_rest else motion,
     )
     items = named(inputs, SHOT_SUFFIXES)
     detections = batch.results(work, (item for item in items if not (resume and sink.has(item))), jobs)
-    with batch:
+    with batch, ExitStack() as stack:
+        write_points = space.writer(loaded_rig, rig, motion, assumed.options, batch, stack, force)
+        write = _writer(sink if not space.on_stdout else None, overlay, write_points, loaded_rig, force)
         for path, shot, detection in with_progress(detections, "shots", quiet):
             with batch.guarded():
-                if overlays is not None:  # first, so that all files exist when the detection's name is printed
-                    from ringpose.report.overlay import overlay as drawn
-                    from ringpose.report.overlay import picture_of
-
-                    overlays.write(shot.name, drawn(picture_of(shot), detection, rig=loaded_rig))
-                sink.write(detection, path)
+                write(path, shot, detection)
                 if verbose:
                     messages.echo(f"{shot.name}: {detection.summary}")
-                if not (detection.found or segments_only):
+                if not (detection.found or segments_only or space.on_stdout):
                     batch.record_status(NO_POSE)
     batch.finish()
 
 
-def _check_search(rig: Path | None, method: SegmentMethod) -> None:
+def _writer(
+    sink: "DetectionSink | None",
+    overlay: Path | None,
+    write_points: "Callable[[Shot, Detection], None]",
+    rig: "Rig | None",
+    force: bool,
+) -> "Callable[[Path, Shot, Detection], None]":
+    """A function that writes the picture and the points of a shot, and then its record or the name of its file."""
+    from ringpose.cli.overlays import OverlayFolder
+
+    overlays = None if overlay is None else OverlayFolder(overlay, force=force)
+
+    def write(path: Path, shot: "Shot", detection: "Detection") -> None:
+        if overlays is not None:  # first, so that all files exist when the detection's name is printed
+            from ringpose.report.overlay import overlay as drawn
+            from ringpose.report.overlay import picture_of
+
+            overlays.write(shot.name, drawn(picture_of(shot), detection, rig=rig))
+        write_points(shot, detection)
+        if sink is not None:
+            sink.write(detection, path)
+
+    return write
+
+
+def _check_search(
+    rig: Path | None, method: SegmentMethod, *, segments_only: bool, track: bool, stripes: StripeSource
+) -> None:
     """Options of a search for break points: a rig, and none of a search for segments."""
+    if segments_only:
+        if track or stripes is not StripeSource.CENTERS:
+            raise UsageError("--segments-only", "searches no stripes", "leave out --track and --stripes")
+        return
     if rig is None:
         raise UsageError("", "--rig is missing", "give --rig FILE, or --segments-only for any image")
     if method is not SegmentMethod.REFINED:
@@ -166,6 +197,8 @@ class DetectInput:
     stripes: StripeSource
     track: bool
     options: "AssumptionOptions"
+    camera: "CameraMotion | None" = None
+    """The motion of a camera that a robot carries."""
     previous: "BreakPoints | None" = None
 
     def __call__(self, item: "Input") -> "tuple[Path, Shot, Detection]":
@@ -185,7 +218,10 @@ class DetectInput:
 
         assumptions = self.options.about_shot(self.rig.stability, still=shot.still)
         detection = detected(
-            shot, self.rig, Prior(predicted=self.previous, assumptions=assumptions), source=self.stripes
+            shot,
+            self.rig,
+            Prior(predicted=self.previous, assumptions=assumptions, camera=self.camera),
+            source=self.stripes,
         )
         if self.track:
             self.previous = detection.break_points if isinstance(detection.break_points, BreakPoints) else None

@@ -13,7 +13,6 @@ import typer
 from ringpose.cli import messages
 from ringpose.cli.app import (
     DEVICES,
-    ROBOT,
     TRACK,
     Force,
     ImageChannel,
@@ -33,7 +32,7 @@ from ringpose.cli.batch import Batch, Jobs, with_progress
 from ringpose.cli.options.assumptions import Assumed
 from ringpose.cli.options.devices import ShotOptions
 from ringpose.cli.options.known_ring import RingOptions, known_ring
-from ringpose.cli.options.robot import RobotColumns, RobotConvention
+from ringpose.cli.options.robot import Frame, RobotColumns, RobotConvention, check_frame
 from ringpose.cli.options.track import (
     Format,
     LineOptions,
@@ -62,15 +61,6 @@ LiveCamera = Annotated[
         metavar="URI",
         help="Measure what this camera sees, see ringpose-capture(1).",
         rich_help_panel=DEVICES,
-    ),
-]
-
-Frame = Annotated[
-    PoseFrame,
-    typer.Option(
-        "--frame",
-        help="Frame of the vectors: tool and base need the rig's mount, and maybe --robot-poses.",
-        rich_help_panel=ROBOT,
     ),
 ]
 
@@ -123,7 +113,7 @@ def pose(
     """Compute the pose of the ring: one JSON record a shot on stdout, or with --track the record of its track."""
     from ringpose.cli.live_input import live_camera_motion
     from ringpose.files.inputs import SourceReader
-    from ringpose.files.rigs import read_rig, require_mount
+    from ringpose.files.rigs import read_rig
     from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.measure.stream import Setup, Stream
     from ringpose.types.rig import NO_ROBOT_POSES
@@ -137,8 +127,8 @@ def pose(
     known = known_ring(ring, method, assumed.ring_tolerance)
     batch, loaded_rig = Batch(), read_rig(rig)
     if frame is not PoseFrame.CAMERA:
-        require_mount(loaded_rig, rig)
-        _check_frame(frame, loaded_rig, robot_poses, pictures=has_pictures)
+        check_frame(frame, loaded_rig, rig, robot_poses)
+        _check_pictures(frame, loaded_rig, pictures=has_pictures)
     is_live_robot = camera is not None and robot_poses == STDIN
     if is_live_robot and (robot_convention or robot_columns):
         raise UsageError("--robot-convention", "is of no use for poses that arrive as JSON lines", "leave it out")
@@ -283,14 +273,9 @@ def _check_method(method: Method, assumed: Assumed, robot_poses: str | None) -> 
             raise UsageError(option, f"is not used by --method {method.value}", "leave it out, or use --method ml")
 
 
-def _check_frame(frame: PoseFrame, rig: "Rig", robot_poses: str | None, *, pictures: bool) -> None:
-    """Poses in another frame than that of what carries the camera need the robot's poses, and are not drawn."""
-    if rig.mount is None or frame is rig.mount.carrier:
-        return
-    if robot_poses is None:
-        finding = f"{frame} needs the poses of the robot, as the rig's mount is in the frame of the {rig.mount.carrier}"
-        raise UsageError("--frame", finding, "give them with --robot-poses")
-    if pictures:
+def _check_pictures(frame: PoseFrame, rig: "Rig", *, pictures: bool) -> None:
+    """Poses in another frame than that of what carries the camera are not drawn."""
+    if pictures and rig.mount is not None and frame is not rig.mount.carrier:
         finding = f"{frame} excludes --overlay and --report, which draw poses as the camera sees them"
         raise UsageError("--frame", finding, "leave them out")
 

@@ -6,13 +6,18 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from ringpose.cli import messages
 from ringpose.cli.app import Force, ImageChannel, Inputs, Quiet, RigFile, app, file_option
 from ringpose.cli.batch import Batch, with_progress
+from ringpose.cli.options.robot import RobotColumns, RobotConvention, check_frame
+from ringpose.cli.options.track import RobotPosesFile, camera_motion
 from ringpose.cli.pages import PagePort, announce
 from ringpose.errors import DataError, NoInputError, UsageError
+from ringpose.types.options import PoseFrame
 
 if TYPE_CHECKING:
-    from ringpose.console.replay import ReplayShot
+    from ringpose.console.replay import ReplayCloud, ReplayShot
+    from ringpose.types.arrays import Array, Float64
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Rig
@@ -30,6 +35,12 @@ def view(
         list[Path] | None, file_option("--tracks", meaning="The output of ringpose track for these poses.")
     ] = None,
     truth: Annotated[Path | None, file_option("--truth", meaning="Show the truth and the errors, too.")] = None,
+    points: Annotated[
+        Path | None, file_option("--points", meaning="The output of ringpose detect --points: .ply or .npz.")
+    ] = None,
+    robot_poses: RobotPosesFile = None,
+    robot_convention: RobotConvention = None,
+    robot_columns: RobotColumns = None,
     html: Annotated[Path | None, file_option("--html", meaning="Write the replay as one HTML page.")] = None,
     port: PagePort = None,
     channel: ImageChannel = None,
@@ -37,11 +48,12 @@ def view(
     quiet: Quiet = False,
 ) -> None:
     """Show recorded shots in the browser: pictures, poses, tracks, errors, a timeline and a three-dimensional view."""
-    from ringpose.console.replay import replay_page
+    from ringpose.console.replay import ReplayCloud, replay_page
     from ringpose.files import atomic
     from ringpose.files.images.shots import SHOT_SUFFIXES, read_shot
     from ringpose.files.inputs import inputs as named
     from ringpose.files.inputs import path_of_input
+    from ringpose.files.point_clouds import read_point_cloud
     from ringpose.files.records.poses import pose_line_of
     from ringpose.files.records.tracks import pose_line_of_track
     from ringpose.files.records.truths import read_truths
@@ -52,6 +64,10 @@ def view(
     elif find_spec("viser") is None:
         raise UsageError("view", "viser is not installed", "pip install 'ringpose[console]', or give --html FILE")
     loaded_rig = read_rig(rig)
+    cloud = None if points is None else ReplayCloud(cloud=read_point_cloud(points, MAX_POINTS))
+    if cloud is not None and cloud.cloud.thinned_by > 1:
+        messages.echo(f"{points}: one point in {cloud.cloud.thinned_by} is shown")
+    place = _place_in_cloud(cloud, loaded_rig, rig, robot_poses, robot_convention, robot_columns, inputs)
     truths = {} if truth is None else {each.shot: each for each in read_truths(truth)}
     batch = Batch()
     lines = _lines_by_shot(poses or [], loaded_rig, batch, pose_line_of, "pose")
@@ -63,22 +79,67 @@ def view(
         with batch.guarded():
             shot = read_shot(path_of_input(item), channel, loaded_rig)
             shown = _replay_shot(shot, loaded_rig, lines.get(shot.name), truths.get(shot.name))
-            shots.append(replace(shown, track=tracked.get(shot.name)))
-    _check_names((("--poses", lines), ("--tracks", tracked), ("--truth", truths)), [shot.name for shot in shots])
+            shots.append(
+                replace(shown, track=tracked.get(shot.name), camera_from_cloud=place(shot.name, shot.measured_at_s))
+            )
+    in_cloud = () if cloud is None or not cloud.by_shot else cloud.cloud.shots
+    _check_names(
+        (("--poses", lines), ("--tracks", tracked), ("--truth", truths), ("--points", in_cloud)),
+        [shot.name for shot in shots],
+    )
     if not shots:
         batch.finish()
     elif html is not None:
         with atomic.replacing(html, force) as stream:
             stream.write(
-                replay_page(shots, loaded_rig, f"{len(shots)} shots of {inputs[0]}").encode("utf-8", "replace")
+                replay_page(shots, loaded_rig, f"{len(shots)} shots of {inputs[0]}", cloud).encode("utf-8", "replace")
             )
         batch.finish()
     else:
         from ringpose.console.recorded import RecordedPage
 
-        with RecordedPage(shots, loaded_rig, "127.0.0.1", port) as page:
+        with RecordedPage(shots, loaded_rig, "127.0.0.1", port, cloud) as page:
             announce(page.port, port)
             page.serve()
+
+
+MAX_POINTS = 30_000
+"""Largest number of points that is shown: a browser without a GPU draws them in a tenth of a second."""
+
+
+def _place_in_cloud(
+    cloud: "ReplayCloud | None",
+    rig: "Rig",
+    rig_file: Path,
+    robot_poses: str | None,
+    convention: str | None,
+    columns: str | None,
+    inputs: list[str],
+) -> "Callable[[str, float], Float64[Array, '4 4'] | None]":
+    """A function that returns the pose of the cloud's frame in the camera frame of a shot; None if it is not known."""
+    import numpy as np
+
+    from ringpose.geometry.camera_motion import CameraMotion
+    from ringpose.types.rig import NO_ROBOT_POSES
+
+    frame = PoseFrame.CAMERA if cloud is None else cloud.cloud.frame
+    check_frame(frame, rig, rig_file, robot_poses)
+    motion = camera_motion(robot_poses, rig_file, inputs, convention, columns)
+    if motion is None and rig.mount is not None:
+        motion = CameraMotion(poses=NO_ROBOT_POSES, mount=rig.mount)
+
+    def camera_from_cloud(shot: str, stamp_s: float) -> "Float64[Array, '4 4'] | None":
+        if cloud is None:
+            return None
+        if frame is PoseFrame.CAMERA or motion is None:
+            return np.eye(4)
+        where = motion.in_frame(frame, stamp_s)
+        if where is None:
+            messages.echo(f"{shot}: is shown without the points: {motion.why_not_at(stamp_s)}")
+            return None
+        return np.linalg.inv(where[0])
+
+    return camera_from_cloud
 
 
 def _lines_by_shot(

@@ -16,6 +16,7 @@ from ringpose.geometry.rotations import tilt_basis
 from ringpose.report.overlay import color_of
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.image import ALL_LASERS
+from ringpose.types.points import PointCloud
 from ringpose.types.pose import RingPose
 from ringpose.types.rig import Camera, Rig
 from ringpose.types.scene import Earth, Light, Scene
@@ -116,7 +117,16 @@ class Frustum:
     corners_m: Float64[Array, "corner=4 xyz=3"]
 
 
-Element = Lines | Surface | Ellipsoid | Ball | Arrow | Label | Frustum
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Points:
+    """Points of one colour."""
+
+    name: str
+    points_m: Float64[Array, "point xyz=3"]
+    color: Color
+
+
+Element = Lines | Surface | Ellipsoid | Ball | Arrow | Label | Frustum | Points
 
 
 # The rig
@@ -301,6 +311,25 @@ def recorded_elements(
     return *elements, stripes(rig, ALL_LASERS, ring.center_m, ring.normal, radii_m)
 
 
+def cloud_points(cloud: PointCloud, shot: int | None = None) -> tuple[Points, ...]:
+    """The points of a cloud, or of one of its shots, in its frame and in the colours of their lasers."""
+    of_shot = np.full(len(cloud.shot), True) if shot is None else cloud.shot == shot
+    return tuple(
+        Points(
+            name=f"laser_{laser}",
+            points_m=cloud.position_m[of_shot & (cloud.laser == laser)],
+            color=laser_color(laser),
+        )
+        for laser in np.unique(cloud.laser).tolist()
+    )
+
+
+NOTHING = np.zeros((0, 3))
+
+MOST = (5.0, 50.0, 95.0)
+"""Percentiles of points between which most are: what is far behind the target would make it small."""
+
+
 class Bounds(NamedTuple):
     """A sphere about the camera and rings."""
 
@@ -310,14 +339,17 @@ class Bounds(NamedTuple):
     radius_m: float
 
 
-def bounds(shown: Sequence[RingPose | Truth | None]) -> Bounds:
-    """The sphere about the camera and these rings, as far as they are known."""
+def bounds(shown: Sequence[RingPose | Truth | None], points_m: Float64[Array, "point xyz=3"] = NOTHING) -> Bounds:
+    """The sphere about the camera and these rings, as far as they are known; without any, about most of the points."""
     target_m, box_m = None, [np.zeros(3)]
     for ring in shown:
         if ring is not None and ring.center_m is not None and np.isfinite(ring.center_m).all():
             target_m = ring.center_m if target_m is None else target_m
             reach_m = ring.radius_outer_m or 0.0
             box_m += [ring.center_m + reach_m, ring.center_m - reach_m]
+    if target_m is None and len(points_m):
+        low_m, target_m, high_m = np.percentile(points_m, MOST, axis=0)
+        box_m += [low_m, high_m]
     target_m = np.array([0.0, 0.0, 1.0]) if target_m is None else target_m
     low_m, high_m = np.min([*box_m, target_m], axis=0), np.max([*box_m, target_m], axis=0)
     return Bounds(target_m, (low_m + high_m) / 2, float(np.linalg.norm(high_m - low_m)) / 2)

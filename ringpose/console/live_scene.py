@@ -22,6 +22,9 @@ BALL_SUBDIVISIONS = 4
 
 ARROW: Any = {"shaft_radius": 0.008, "head_radius": 0.02, "head_length": 0.05}
 
+POINT_M = 0.001
+"""Size of a drawn point."""
+
 FRUSTUM: Any = {"scale": 0.12, "color": (200, 200, 200), "thickness": 2.0, "thickness_units": "screen"}
 
 
@@ -144,6 +147,15 @@ def _frustum(scene: viser.SceneApi, name: str, handle: Any, frustum: drawing.Fru
     return handle
 
 
+def _points(scene: viser.SceneApi, name: str, handle: Any, points: drawing.Points) -> Any:
+    if handle is None:
+        handle = scene.add_point_cloud(name, points.points_m, points.color, point_size=POINT_M)
+    else:
+        handle.points = points.points_m
+    handle.visible = bool(len(points.points_m))
+    return handle
+
+
 _DRAWN_BY: Mapping[type, Callable[..., Any]] = {
     drawing.Lines: _lines,
     drawing.Surface: _surface,
@@ -152,4 +164,5 @@ _DRAWN_BY: Mapping[type, Callable[..., Any]] = {
     drawing.Arrow: _arrow,
     drawing.Label: _label,
     drawing.Frustum: _frustum,
+    drawing.Points: _points,
 }

@@ -6,9 +6,17 @@ from typing import Any
 
 from ringpose.console.controls import Choice, Control, Number, Value, taken_over
 from ringpose.console.display import Field, ImagePanel, Plots, line_text, plotted, track_text
-from ringpose.console.drawing import RING_STYLES, bounds, recorded_elements, rig_elements, ring_words
+from ringpose.console.drawing import (
+    NOTHING,
+    RING_STYLES,
+    bounds,
+    cloud_points,
+    recorded_elements,
+    rig_elements,
+    ring_words,
+)
 from ringpose.console.live_scene import LiveScene
-from ringpose.console.replay import ReplayShot, times_s
+from ringpose.console.replay import ReplayCloud, ReplayShot, times_s
 from ringpose.console.server import opened_server
 from ringpose.report.overlay import pose_in_camera_frame
 from ringpose.types.image import ALL_LASERS
@@ -23,8 +31,11 @@ MAX_SHOWN_S = 2.0
 class RecordedPage:
     """Serves the page within its context; all browsers show the same shot."""
 
-    def __init__(self, shots: Sequence[ReplayShot], rig: Rig, host: str, port: int | None) -> None:
+    def __init__(
+        self, shots: Sequence[ReplayShot], rig: Rig, host: str, port: int | None, cloud: ReplayCloud | None = None
+    ) -> None:
         self._shots, self._rig, self._times_s = shots, rig, times_s(shots)
+        self._cloud, self._is_cloud_shown = cloud, False
         self._ended = threading.Event()
         self._lock = threading.RLock()
         self._controls: dict[str, Control] = {
@@ -38,7 +49,8 @@ class RecordedPage:
         gui, shots = self._server.gui, self._shots
         poses = [None if shot.line is None else pose_in_camera_frame(shot.line, self._rig) for shot in shots]
         self._poses = poses
-        target_m = bounds([*poses, *(shot.truth for shot in shots)]).target_m
+        points_m = NOTHING if self._cloud is None else self._cloud.points_m(shots)
+        target_m = bounds([*poses, *(shot.truth for shot in shots)], points_m).target_m
         self._view3d = LiveScene(self._server, target_m)
         self._view3d.show("rig", rig_elements(self._rig, ALL_LASERS, target_m))
         self._picture = ImagePanel(self._server, "shot")
@@ -116,7 +128,22 @@ class RecordedPage:
             self._view3d.show_image("/rig/camera", shot.jpeg)
             elements = recorded_elements(self._rig, pose, shot.truth, None if track is None else track.pose)
             self._view3d.show("measured", elements)
+            self._show_cloud(shot)
             text = line_text(shot.line, about, shot.errors)
             if track is not None:
                 text += "  \n" + track_text(track.pose, track.velocity, track.reason or "")
             self._text.content = f"{text}  \nrings: {ring_words(*RING_STYLES)}"
+
+    def _show_cloud(self, shot: ReplayShot) -> None:
+        """The cloud where it is at the time of a shot; all of it, or the points of the shot."""
+        cloud, place = self._cloud, shot.camera_from_cloud
+        if cloud is None:
+            return
+        if place is None:
+            self._view3d.show("cloud", ())
+            self._is_cloud_shown = False
+            return
+        self._view3d.place("cloud", place[:3, :3], place[:3, 3])
+        if cloud.by_shot or not self._is_cloud_shown:
+            self._view3d.show("cloud", cloud_points(cloud.cloud, cloud.number_of(shot)))
+        self._is_cloud_shown = True

@@ -20,6 +20,8 @@ from ringpose.errors import DataError
 from ringpose.report.overlay import pose_in_camera_frame, pose_texts
 from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.image import ALL_LASERS
+from ringpose.types.options import PoseFrame
+from ringpose.types.points import PointCloud
 from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.truth import Truth
@@ -48,6 +50,33 @@ class ReplayShot:
     """Errors of the pose, as `ringpose bench` names and computes them."""
     track: PoseLine | None = None
     """The track after this shot, in the camera frame; its reason is its validity and what became of the measurement."""
+    camera_from_cloud: Float64[Array, "4 4"] | None = None
+    """Where a point cloud is at the time of this shot; None if that is not known."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ReplayCloud:
+    """A point cloud that is shown with the shots."""
+
+    cloud: PointCloud
+
+    @property
+    def by_shot(self) -> bool:
+        """Whether each shot shows its own points only: those in a frame that moves with camera or tool."""
+        return self.cloud.frame is not PoseFrame.BASE
+
+    def number_of(self, shot: ReplayShot) -> int | None:
+        """The number of a shot in the cloud; -1 if it has no points there, None if all points are shown with it."""
+        if not self.by_shot:
+            return None
+        return self.cloud.shots.index(shot.name) if shot.name in self.cloud.shots else -1
+
+    def points_m(self, shots: Sequence[ReplayShot]) -> Float64[Array, "point xyz=3"]:
+        """The points in the camera frame of the first shot whose place in the cloud is known."""
+        place = next((shot.camera_from_cloud for shot in shots if shot.camera_from_cloud is not None), None)
+        if place is None:
+            return np.zeros((0, 3))
+        return np.asarray(self.cloud.position_m @ place[:3, :3].T + place[:3, 3])
 
 
 def times_s(shots: Sequence[ReplayShot]) -> list[float]:
@@ -71,12 +100,14 @@ def replay_picture(overlay: UInt8[Array, "row column 3"]) -> bytes:
     return bytes(cv2.imencode(".jpg", small, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))[1].tobytes())
 
 
-def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str) -> str:
+def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str, cloud: ReplayCloud | None = None) -> str:
     """The complete page."""
     if not shots:
         raise DataError("the replay", "has no shots")
     poses = [None if shot.line is None else pose_in_camera_frame(shot.line, rig) for shot in shots]
-    about = drawing.bounds([*poses, *(shot.truth for shot in shots)])
+    about = drawing.bounds(
+        [*poses, *(shot.truth for shot in shots)], drawing.NOTHING if cloud is None else cloud.points_m(shots)
+    )
     data = {
         "middle_m": about.middle_m.tolist(),
         "radius_m": about.radius_m,
@@ -84,7 +115,8 @@ def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str) -> str:
         "legend": _legend(shots, poses),
         "times_s": times_s(shots),
         "timed": are_timed(shots) and len(shots) > 1,
-        "shots": [_shot_values(shot, pose, rig) for shot, pose in zip(shots, poses, strict=True)],
+        "cloud": [] if cloud is None else _cloud_values(cloud),
+        "shots": [_shot_values(shot, pose, rig, cloud) for shot, pose in zip(shots, poses, strict=True)],
         "plots": _plots(shots, poses),
     }
     text = json.dumps(data, allow_nan=False).replace("<", "\\u003c")  # cannot end the script element
@@ -107,13 +139,27 @@ def _legend(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> li
     return [{"text": text, "color": _css(color)} for text, color in entries]
 
 
-def _shot_values(shot: ReplayShot, pose: RingPose | None, rig: Rig) -> dict[str, Any]:
+def _cloud_values(cloud: ReplayCloud) -> list[dict[str, Any]]:
+    """The points of each laser, rounded to 0.1 mm, and the numbers of their shots if these show their own only."""
+    return [
+        {
+            "color": _css(points.color),
+            "points_mm": np.round(1e3 * points.points_m, 1).ravel().tolist(),
+            "shot": cloud.cloud.shot[cloud.cloud.laser == laser].tolist() if cloud.by_shot else [],
+        }
+        for laser, points in zip(np.unique(cloud.cloud.laser), drawing.cloud_points(cloud.cloud), strict=True)
+    ]
+
+
+def _shot_values(shot: ReplayShot, pose: RingPose | None, rig: Rig, cloud: ReplayCloud | None) -> dict[str, Any]:
     track = None if shot.track is None else shot.track.pose
     return {
         "name": shot.name,
         "status": UNMEASURED if shot.line is None else shot.line.status,
         "picture": f"data:image/jpeg;base64,{base64.b64encode(shot.jpeg).decode('ascii')}",
         "texts": _texts(shot, pose),
+        "camera_from_cloud": None if shot.camera_from_cloud is None else shot.camera_from_cloud[:3].tolist(),
+        "in_cloud": None if cloud is None else cloud.number_of(shot),
         "elements": [_values_of(element) for element in drawing.recorded_elements(rig, pose, shot.truth, track)],
     }
 

@@ -169,10 +169,21 @@ def point_covariance(
     errors = rig_errors(rig)
     if errors is None:
         return np.full_like(total, np.nan)
-    wrt_planes = points_wrt_plane(points, light_normal, errors.basis[laser]) @ errors.lasers[laser]
-    wrt_rig = (jacobians.wrt_camera @ errors.camera + wrt_planes).reshape(points.size, -1) @ errors.root
+    wrt_rig = points_wrt_errors(points, laser, rig, jacobians, errors).reshape(points.size, -1)
     total += wrt_rig @ wrt_rig.T
     return total
+
+
+def points_wrt_errors(
+    points: Float64[Array, "n xyz=3"],
+    laser: Int64[Array, "n"],
+    rig: Rig,
+    jacobians: "PointJacobians",
+    errors: RigErrors,
+) -> Float64[Array, "n xyz=3 error"]:
+    """Derivatives of points with respect to the rig's independent errors of unit variance, which are common to all."""
+    wrt_planes = points_wrt_plane(points, rig.lasers.normal[laser], errors.basis[laser]) @ errors.lasers[laser]
+    return np.asarray((jacobians.wrt_camera @ errors.camera + wrt_planes) @ errors.root)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -369,11 +369,14 @@ ROBOT_POSE = Kind(
 DETECTION = Kind(
     "a detection", "ringpose/detection/", frozenset({"break_points"}), "give the output of ringpose detect"
 )
+POINTS = Kind(
+    "points", "ringpose/points/", frozenset({"points", "left_out"}), "give the output of ringpose detect --points -"
+)
 TRACK_LINE = Kind("a track line", "ringpose/track/", frozenset({"validity"}), "give the output of ringpose track")
 POSE_LINE = Kind("a pose line", "ringpose/pose/", frozenset({"pose", "flags"}), "give the output of ringpose pose")
 
 _FILES = (CAMERA, RIG, SCENE, STUDY, BOARD, RINGS, SESSION)
-_RECORDS = (TRUTH, ROBOT_POSE, DETECTION, TRACK_LINE, POSE_LINE)
+_RECORDS = (TRUTH, ROBOT_POSE, DETECTION, POINTS, TRACK_LINE, POSE_LINE)
 _KINDS = (*_FILES, *_RECORDS)
 
 EXCHANGED = "see whether two files of the command are exchanged"

@@ -6,7 +6,7 @@ from typing import Any
 from ringpose.files import boards, rigs
 from ringpose.files.cameras import ros
 from ringpose.files.images import sessions
-from ringpose.files.records import detections, poses, robot_poses, tracks, truths
+from ringpose.files.records import detections, points, poses, robot_poses, tracks, truths
 from ringpose.files.records.codec import RecordType
 from ringpose.files.scenes import scene
 from ringpose.files.studies import specification
@@ -15,6 +15,7 @@ RECORDS: Mapping[str, RecordType[Any]] = {
     "pose": poses.RECORD,
     "track": tracks.RECORD,
     "detection": detections.RECORD,
+    "points": points.RECORD,
     "truth": truths.RECORD,
     "session": sessions.RECORD,
     "robot-pose": robot_poses.RECORD,

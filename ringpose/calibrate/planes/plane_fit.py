@@ -15,7 +15,7 @@ from ringpose.calibrate.planes.stripes.errors import (
 )
 from ringpose.errors import DataError
 from ringpose.geometry.least_squares import robust_std
-from ringpose.geometry.rays import intersect, nearest_plane
+from ringpose.geometry.rays import intersect, nearest_plane, sheet_bend_m
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.options import PlanesMethod
@@ -211,8 +211,4 @@ def _bend_m(
     """Distance from the plane of a sheet of bow 1, where rays of pixels meet a board."""
     board = pose.rotation[:, 2]
     point = intersect(stripe_rays(points_px, camera).ray, board, np.array(float(board @ pose.translation_m)))
-    axis = np.array([0.0, 0.0, 1.0]) - plane.normal[2] * plane.normal
-    axis /= np.linalg.norm(axis)
-    along, aside = point @ axis, point @ np.cross(plane.normal, axis)
-    bend: Float64[Array, "n"] = np.hypot(along, aside) * np.arctan2(aside, along) ** 2
-    return bend
+    return sheet_bend_m(point, plane.normal)
