@@ -214,8 +214,9 @@ def _judged_ring(best: Explanation, measured: Measurements) -> JudgedRing | None
 
 def ends_clear(points: BreakPoints) -> bool:
     """Whether enough ends are clear edges: at the end of an apparent face on foil, a stripe fades or continues."""
-    clear = points.seen & (points.flags & int(BreakPointFlag.UNCLEAR) == 0)
-    return int(clear.sum()) >= min(CLEAR_ENDS, int(points.seen.sum()))
+    clear = sum(int((arc.seen & (arc.flags & int(BreakPointFlag.UNCLEAR) == 0)).sum()) for arc in points.arcs)
+    seen = sum(int(arc.seen.sum()) for arc in points.arcs)
+    return clear >= min(CLEAR_ENDS, seen)
 
 
 class Ends(NamedTuple):

@@ -118,7 +118,7 @@ def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], satu
         near = ambient[row[:, :, None], column.clip(0, ambient.shape[1] - 1)[:, None]] >= saturation_dn
         share = (near & inside[:, None]).mean(axis=(1, 2))
         hidden += int(np.count_nonzero(share > HIDDEN_SHARE))
-    return 2 * hidden >= int(points.seen.sum())
+    return hidden > 0 and 2 * hidden >= int(points.seen.sum())
 
 
 def saturated_along_stripes(points: BreakPoints, images: Sequence[LaserImage], saturation_dn: int) -> bool:

@@ -27,6 +27,7 @@ from ringpose.kernels.lines import Lens
 from ringpose.optics.feature_errors import STEP_DN, STEP_SIGMAS, noise_across_edge
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 from ringpose.types.detection import BreakPoints
+from ringpose.types.plausible import RING_RADIUS_M
 from ringpose.types.rig import Camera, Rig
 
 # The image and the places in it that laser stripes cover
@@ -59,8 +60,8 @@ def stripe_mask(
 # Prediction of the edges in the image
 
 
-HALF_TURN_RAD = 2.0
-"""Largest angle on the ring to both sides of the origin that can be in view."""
+HALF_TURN_RAD = math.pi
+"""Largest angle on the ring to both sides of the origin: all of it may be in view."""
 
 OBLIQUE = 3.0
 """Upper bound of the factor by which foreshortening and depth reduce an error across the edge in the image."""
@@ -514,8 +515,8 @@ def tracked_ring(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> Pred
     """The ring with its edges as far as they can be tracked from the stripes; None if they cannot."""
     ring: PredictedRing | None = stripes.start
     if stripes.start.covariance[TURN, TURN] > OPEN_TURN_SIGMA_RAD**2:
-        beside = edges_beside_stripe(stripes.start.arcs, frame, rig)
-        ring = stripes.fitted(stripes.start.arcs, beside, FIRST_ITERATIONS)
+        turned, beside = edges_beside_stripe(stripes, frame, rig)
+        ring = stripes.fitted(turned, beside, FIRST_ITERATIONS)
     tracked_px = 0.0
     for _ in range(ROUNDS):
         if ring is None or not plausible(ring.arcs):
@@ -537,7 +538,10 @@ def tracked_ring(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> Pred
 # Direction of the edges at a single stripe, which its two ends leave open
 
 TURNS_RAD = np.linspace(-0.75, 0.75, 51)
-"""Candidate angles between the stripe's normal on the face and the edges."""
+"""Candidate angles between the stripe's normal on the face and the edges ..."""
+
+TURNS_OF_CHORD_RAD = np.linspace(-1.2, 1.2, 81)
+"""... and those of a stripe across both arcs, whose four ends leave nothing else of the ring open."""
 
 MIN_NUMBER, MAX_NUMBER = 2, 9
 """Range of the places examined on each edge, counted from the stripe to each side ..."""
@@ -555,28 +559,61 @@ DISTINCT, SIMILAR = 2, 6
 """... and its minimum ratio to that of any direction that is not among the next `SIMILAR` ones."""
 
 
-def edges_beside_stripe(arcs: RingArcs, frame: EdgeImage, rig: Rig) -> Edges:
-    """Steps along the two straight edges through a stripe's ends that the image supports best; empty if none does."""
-    turned = [arcs.retract(turn_rad * np.eye(len(STEP))[TURN]) for turn_rad in TURNS_RAD]
-    of_directions = replace(
-        arcs, origin=np.stack([each.origin for each in turned]), axes=np.stack([each.axes for each in turned])
-    )
+def edges_beside_stripe(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> tuple[RingArcs, Edges]:
+    """Ring and steps along its two edges, of the directions at the stripe's ends that the image supports best.
+
+    The ring of the stripes and no steps if it supports none.
+    """
+    arcs, whole = stripes.start.arcs, stripes.shows_both_arcs
+    if whole:
+        turned = [_aside(arcs, math.tan(turn_rad) * arcs.mean_radius_m) for turn_rad in TURNS_OF_CHORD_RAD.tolist()]
+    else:
+        turned = [_turned(arcs, turn_rad) for turn_rad in TURNS_RAD.tolist()]
     to_one_side = np.arange(MIN_NUMBER, MAX_NUMBER + 1)
     places = np.concatenate([-to_one_side[::-1], to_one_side])
-    direction, edge_sign, number = map(np.ravel, np.meshgrid(range(len(turned)), EDGE_SIGN, places, indexing="ij"))
-    along_m = number * (SPACING_PX * float(arcs.origin[2]) / float(rig.camera.camera_matrix[0, 0]))
+    spacing_m = SPACING_PX * float(arcs.origin[2]) / float(rig.camera.camera_matrix[0, 0])
     params = PlaceParams(image_width=rig.camera.image_width, image_height=rig.camera.image_height)
-    labels = direction.astype(np.float64)
-    trace = edge_places(of_directions.at_rows(direction), along_m, edge_sign, labels, lens(rig.camera), params)
-    trace = outside_stripes(frame, trace)  # its `number` is the candidate direction
+    tables = []
+    for direction, ring in enumerate(turned):
+        middles_m = [0.0, _along_to(arcs.origin + 2.0 * (arcs.center - arcs.origin), ring)] if whole else [0.0]
+        along_m, edge_sign = map(np.ravel, np.meshgrid(np.add.outer(middles_m, spacing_m * places), EDGE_SIGN))
+        label = np.full(len(along_m), float(direction))
+        tables.append(edge_places(ring, along_m, edge_sign, label, lens(rig.camera), params).table)
+    trace = outside_stripes(frame, EdgeTrace(np.concatenate(tables)))  # its `number` is the candidate direction
 
     clear = clear_steps(frame, trace, START_REACH_PX)
     count = np.bincount(clear.trace.number.astype(np.int64), minlength=len(turned))
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
-        return no_edges(rig.camera)
-    return edge_observations(clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX), rig)
+        return arcs, no_edges(rig.camera)
+    steps = clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX)
+    return turned[best], edge_observations(steps, rig)
+
+
+def _along_to(point_m: Float64[Array, "xyz=3"], arcs: RingArcs) -> float:
+    """Distance along the middle of the face from the arcs' origin to the direction of a point."""
+    inward, along, _ = (arcs.axes @ (point_m - arcs.center)).tolist()
+    return math.atan2(along, -inward) * arcs.mean_radius_m
+
+
+def _turned(arcs: RingArcs, turn_rad: float) -> RingArcs:
+    """The ring whose edges pass through the ends of a stripe at another angle: the face is as much narrower."""
+    turned = arcs.retract(turn_rad * np.eye(len(STEP))[TURN])
+    return replace(turned, half_band_m=math.cos(turn_rad) * arcs.half_band_m)
+
+
+def _aside(arcs: RingArcs, aside_m: float) -> RingArcs:
+    """The ring through the four ends of a stripe whose line passes this far beside its centre, not through it."""
+    inner_m, outer_m = np.hypot(arcs.radius_m, aside_m).tolist()
+    center, mean_m = arcs.center + aside_m * arcs.axes[1], 0.5 * (inner_m + outer_m)
+    inward = (center - arcs.origin) / np.linalg.norm(center - arcs.origin)
+    return RingArcs(
+        origin=center - mean_m * inward,
+        axes=np.array([inward, np.cross(arcs.normal, inward), arcs.normal]),
+        curvature=1.0 / mean_m,
+        half_band_m=0.5 * (outer_m - inner_m),
+    )
 
 
 # Fit of the ring to stripes and tracked edge points
@@ -594,7 +631,7 @@ MAX_SIGMA_IN_FIT_PX = 1.5
 """Upper limit of a break point's sigma in this fit, so that two uncertain ones still predict the edge; the steps found
 there then confirm or contradict them."""
 
-POSSIBLE = ((0.03, 5.0), (0.001, 0.1), (0.1, 1.1), (-1.0, 10.0))
+POSSIBLE = ((0.03, 5.0), (0.0, RING_RADIUS_M.highest), (0.1, 1.1), (-1.0, 1.0 / RING_RADIUS_M.lowest))
 """Limits of depth and half band in metres, of the cosine between normal and optical axis, of |curvature| in 1/m."""
 
 
@@ -604,6 +641,11 @@ class RingFromStripes:
 
     measured: Measurements
     start: PredictedRing
+
+    @property
+    def shows_both_arcs(self) -> bool:
+        """Whether there are break points on both arcs."""
+        return not bool(self.measured.points.described.all())
 
     def fitted(self, arcs: RingArcs, edges: Edges, iterations: int = ITERATIONS) -> PredictedRing | None:
         """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open.

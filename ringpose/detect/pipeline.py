@@ -310,7 +310,8 @@ def confirmed(points: BreakPoints, visible: RingEdgePoints | None, view: View) -
     """
     several = int(points.seen.any(axis=1).sum()) > 1
     by_edges = visible is not None and several and any(image.dark is None for image in view.images)
-    if not by_edges and not ends_clear(points):
+    without_ends = visible is None and not any(bool(arc.seen.any()) for arc in points.arcs)
+    if without_ends or (not by_edges and not ends_clear(points)):
         raise Stop(NoBreakPoints.NO_RING)
     if visible is None and hidden_by_saturation(points, view.images, view.saturation_dn):
         raise Stop(NoBreakPoints.HIDDEN_BY_SATURATION)

@@ -111,8 +111,8 @@ class Face:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether its segments are more than a coincidence: three of them, or stripes across both arcs."""
-        return len(self.lasers) >= CONFIRMED or self.opposite is not None
+        """Whether its segments are more than a coincidence: three of them, or two stripes across both arcs."""
+        return len(self.lasers) >= CONFIRMED or (self.opposite is not None and len(self.lasers) > 1)
 
     def passes_beside_hole(self, laser: int) -> bool:
         """Whether the segment of a laser reaches from this arc to the opposite one."""
@@ -157,13 +157,17 @@ class Chords(NamedTuple):
     rival: float
     """Best score of the same segments with another assignment to lasers."""
     chords: tuple[Chord, ...]
-    """One for each of two or three lasers; none if no stripe is seen on both arcs."""
+    """One for each of up to three lasers; none if no stripe is seen on both arcs."""
 
     @property
     def are_convincing(self) -> bool:
         """Whether foil hardly ever reaches the score, and no other assignment explains the segments about as well."""
         number = len(self.chords)
-        return bool(number) and self.score > max(CONVINCING_SCORE[number], self.rival + CLEAR_MARGIN[number])
+        return (
+            bool(number)
+            and self.score > CONVINCING_SCORE[number]
+            and not self.rival > self.score - CLEAR_MARGIN[number]
+        )
 
 
 class Faces(NamedTuple):
@@ -183,16 +187,19 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
     may belong to.
     """
     unlabelled = sum(1 << laser for laser in lasers)
+    ring = _ring_params(rig.camera)
     every, best_groups, chords = ring_faces(
-        segments, unlabelled, planes_per_m(rig), _ring_params(rig.camera), UnionParams(), CandidateParams()
+        segments, unlabelled, planes_per_m(rig), ring, UnionParams(), CandidateParams()
     )
-    if chords.are_convincing:
+    if chords.are_convincing and len(chords.chords) > 1:
         return _foremost(face_of_both_arcs(chords, every, rig), segments, rig)
     groups: list[Group | None] = list(best_groups)
     best = best_hypothesis(groups)
     while best is not None and not _lengths_consistent(every[list(best.segments)], best.lasers, rig):
         groups = [None if group is best else group for group in groups]
         best = best_hypothesis(groups)
+    if chords.are_convincing and (best is None or _explains_more(chords, best, ring.agreement)):
+        return face_of_both_arcs(chords, every, rig)
     if best is None:
         return None
     beside = _beside_band(best, every, lasers, rig)
@@ -328,6 +335,15 @@ def face_of_both_arcs(chords: Chords, segments: Float64[Array, "segment column=1
     return replace(near, opposite=far)
 
 
+FURTHER_AGREEMENTS = 2
+"""Two pieces on one line with ends about one middle agree three times by chance, two segments on one plane once."""
+
+
+def _explains_more(chord: Chords, group: Group, agreement: float) -> bool:
+    """Whether a single stripe across both arcs is more probable than fewer than three segments on one arc."""
+    return len(group.segments) < CONFIRMED and chord.score + FURTHER_AGREEMENTS * agreement > group.score
+
+
 def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
     """The largest group, unless a smaller one has a sufficiently better score; None if no score is high enough.
 
@@ -457,9 +473,13 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Ri
     stripe of a laser without a selected one may be off the plane because its light plane has moved
     (`displaced_lasers`).
     """
-    if len(face.lasers) < 2 or not len(others := _others(face.segments, segments)):
+    on_face, of_lasers = face.segments, face.lasers
+    if face.opposite is not None:
+        on_face = np.concatenate([on_face, face.opposite.segments])
+        of_lasers = (*of_lasers, *face.opposite.lasers)
+    if len(face.lasers) < 2 or not len(others := _others(on_face, segments)):
         return face
-    plane, lasers = _plane_of(face.segments, face.lasers, rig), np.array(face.lasers)
+    plane, lasers = _plane_of(on_face, of_lasers, rig), np.array(face.lasers)
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
     ends_m = _ends_m(others[which], lasers[number], rig)
     rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]

@@ -238,8 +238,9 @@ class EdgeFactor(Factor):
         return np.concatenate(columns, axis=1)
 
 
-EXPECTED_CURVATURE, CURVATURE_SD = 1.5, 1.5
-"""Weak prior in 1/m (a radius of 0.3 m has 3.3; the largest ring in launcher manuals has 0.76)."""
+EXPECTED_CURVATURE = 1.5
+"""Mean and standard deviation in 1/m of the weak prior where nothing shows the radius: one of 0.3 m has 3.3; the
+largest ring in launcher manuals has 0.76."""
 
 TURN_SD_RAD = 0.5
 """Weak prior on the angle between the stripes and the radius, if a single stripe has to determine it."""
@@ -258,7 +259,8 @@ class Prior(NamedTuple):
     assumptions: Assumptions = Assumptions()
     """Assumptions on motion, the ring's form and the rig."""
     regularize_about: RingArcs | None = None
-    """The ring about which curvature, turn and tilt have weak priors; None to estimate from the shot alone."""
+    """The ring about which curvature, turn and tilt have weak priors; None to estimate from the shot alone. Of a small
+    ring, which ends on both arcs show, the curvature is also the standard deviation of its prior."""
     single_edge: bool = False
     """Whether only one edge was seen, so that the width of the face needs a prior."""
 
@@ -274,8 +276,9 @@ class Prior(NamedTuple):
                     rows.append(((radius_m - assumed_m) / sd_m, derivatives))
         if self.regularize_about is not None:
             inward, along, normal = arcs.axes
+            expected = max(abs(self.regularize_about.curvature), EXPECTED_CURVATURE)
             rows += [
-                ((arcs.curvature - EXPECTED_CURVATURE) / CURVATURE_SD, {CURVATURE: 1.0 / CURVATURE_SD}),
+                (arcs.curvature / expected - 1.0, {CURVATURE: 1.0 / expected}),
                 (float(inward @ self.regularize_about.axes[1]) / TURN_SD_RAD, {TURN: 1.0 / TURN_SD_RAD}),
             ]
             for axis in range(2):

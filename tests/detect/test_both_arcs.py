@@ -21,6 +21,7 @@ from ringpose.kernels.lines import (
 )
 from ringpose.measure.stream import Setup
 from ringpose.simulate.pipeline import simulate
+from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Light, RingView, Scene, Sensor
 from ringpose.types.target import Body, RingShape
@@ -160,3 +161,70 @@ def test_much_foil_does_not_take_the_place_of_the_opposite_arc():
 
     assert face.opposite is not None
     assert {tuple(each) for arc in (face, face.opposite) for each in arc.segments} == set(map(tuple, rows))
+
+
+def flange(light: Light, *, aside_m: float) -> tuple[Shot, Ring]:
+    """Frames of a flange of 55 mm that only the middle laser's stripe crosses, that far beside its centre."""
+    normal = np.array([0.05, 0.08, -0.99])
+    light_normal, distance_m = RIG.lasers.normal[1], RIG.lasers.distance_m[1]
+    y_m = float(distance_m - light_normal[2] * 0.5) / float(light_normal[1]) + aside_m
+    center_m, radius_m = np.array([0.01, y_m, 0.5]), np.array([0.035, 0.055])
+    ring = Ring(center_m=center_m, normal=normal / np.linalg.norm(normal), radius_m=radius_m)
+    scene = Scene(
+        rig=RIG,
+        ring=RingShape(profile_m=np.array([[0.035, 0.0], [0.035, 0.06], [0.055, 0.06], [0.055, 0.0]])),
+        body=Body(size_m=np.array([1.0, 1.0, 0.5])),
+        lights={"light": light},
+        sensor=Sensor(pixel_m=9e-6),
+        exposure_s=0.001,
+        stripe_dn=170.0,
+        sequence=(0, 1, 2, 4),
+        views=(RingView(name="view", center_m=ring.center_m, normal=ring.normal, light="light"),),
+    )
+    return next(iter(simulate(scene)))[0], ring
+
+
+@pytest.mark.parametrize("aside_m", [0.002, 0.025], ids=["through the centre", "aside"])
+def test_one_stripe_and_the_lit_edges_measure_a_flange(aside_m):
+    shot, ring = flange(Light(name="light", ambient_w_m2=40.0), aside_m=aside_m)
+
+    line = Setup(rig=RIG).line(Setup(rig=RIG).detection(shot))
+
+    assert not set(line.flag_names) & {"center_weak", "radius_weak", "normal_weak", "grasp_weak"}
+    np.testing.assert_allclose(line.pose.center_m, ring.center_m, atol=0.5e-3)
+    np.testing.assert_allclose(line.pose.radius_outer_m, 0.055, atol=0.2e-3)
+
+
+def test_one_stripe_in_the_dark_leaves_the_flange_open():
+    shot, _ = flange(Light(name="light"), aside_m=0.025)
+
+    line = Setup(rig=RIG).line(Setup(rig=RIG).detection(shot))
+
+    assert {"center_weak", "radius_weak", "normal_weak", "grasp_weak"} <= set(line.flag_names)
+
+
+def one_stripe(ends_px: list[float]) -> list[np.ndarray]:
+    """Segments of the middle laser in one row, each between two of these places."""
+    row = segments_on_plane(1, lambda _: (0.15, 0.13))[0]
+    rows = []
+    for first, last in zip(ends_px[::2], ends_px[1::2], strict=True):
+        piece = row.copy()
+        piece[[CENTERS, X_START, X_END, MIDDLE_X]] = last - first, first, last, (first + last) / 2
+        rows.append(piece)
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("ends_px", "is_ring"),
+    [
+        ([350.0, 380.0, 420.0, 450.0], True),
+        ([350.0, 370.0, 371.0, 430.0], False),
+        ([350.0, 380.0, 400.0, 470.0], False),
+        ([50.0, 180.0, 620.0, 750.0], False),
+    ],
+    ids=["one middle", "both on one side", "two middles", "so large that others would cross it"],
+)
+def test_two_pieces_of_one_stripe_are_a_ring_if_their_ends_have_one_middle(ends_px, is_ring):
+    face = ring_face(np.array(one_stripe(ends_px)), (), RIG)
+
+    assert (face is not None and face.opposite is not None) == is_ring

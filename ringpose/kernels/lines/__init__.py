@@ -133,6 +133,9 @@ class RingParams:
     """A stripe closer than this to the upper or lower border may be missed without penalty."""
     along_sigma_px: float = 2.0
     """Sigma of the distance of a segment's end from its circle, before refinement."""
+    oblique_sigma_px: float = 6.0
+    """The same where one stripe does not show at which angle it crosses the edges: one that is 2.5 px wide ends over 6
+    px at 25 degrees."""
     across_sigma_px: float = 0.4
     """Sigma of the distance of a segment from the line in which the plane cuts the light plane: noise, calibration."""
     plane_limit: float = 8.0

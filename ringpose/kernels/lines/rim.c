@@ -53,6 +53,7 @@ RECORD(CandidateParams, CANDIDATE_PARAMS);
     COUNT(image_height, 1, INT32_MAX)                                                                               \
     REAL(border_px, FINITE)                                                                                         \
     REAL(along_sigma_px, POSITIVE)                                                                                  \
+    REAL(oblique_sigma_px, POSITIVE)                                                                                \
     REAL(across_sigma_px, POSITIVE)                                                                                 \
     REAL(plane_limit, FINITE)                                                                                       \
     REAL(circle_limit, FINITE)                                                                                      \
@@ -366,8 +367,29 @@ static int is_seen_elsewhere(int laser, double x, const double plane[3], double 
     return seen && !may_be_face;
 }
 
-/* Penalty of the lasers outside the group whose stripe on the plane the image would show at normalised x. */
-static double unseen_lasers_penalty(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
+/* The plane of a group: the middle of its ends, and unit vectors in it along and across the stripes. */
+typedef struct {
+    double middle[3], along[3], across[3];
+} Flat;
+
+/* Two concentric circles in it. */
+typedef struct {
+    double x, y, radius[2];
+} Circles;
+
+static double dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+/* True if a light sheet meets the plane of the circles inside the outer one. */
+static int crosses(const double light[3], const Flat *flat, const Circles *circles) {
+    double along = dot(light, flat->along), across = dot(light, flat->across);
+    double off = dot(light, flat->middle) + along * circles->x + across * circles->y - 1;
+    return fabs(off) < circles->radius[OUTER] * hypot(along, across);
+}
+
+/* Penalty of the lasers outside the group whose stripe on the plane the image would show at normalised x, those aside that
+   pass beside the ring; without circles it is not known which do. */
+static double unseen_lasers_penalty(const Candidate *const member[], int size, const double plane[3], const Flat *flat,
+                                    const Circles *circles, const Scene *scene) {
     const RingParams *params = scene->ring;
     double x = 0, length = INFINITY, penalty = 0;
     for (int i = 0; i < size; i++) {
@@ -382,6 +404,7 @@ static double unseen_lasers_penalty(const Candidate *const member[], int size, c
         double y = -((plane[0] - light[0]) * x + plane[2] - light[2]) / (plane[1] - light[1]);
         double row = y * params->focal_y + params->principal_y;
         if (in_group || !(row > params->border_px && row < params->image_height - params->border_px)) continue;
+        if (circles && !crosses(light, flat, circles)) continue;
         int elsewhere = size > 1 && is_seen_elsewhere(laser, x, plane, length * params->focal_x, scene);
         penalty += elsewhere ? scene->candidates->covered_penalty : params->unseen_penalty;
     }
@@ -410,8 +433,9 @@ enum { MAX_ENDS = 4 * MAX_MEMBERS };
 
 /* Coordinates of a group's ends in their plane, x along the stripes; those that are not the stripe's own are marked as unused.
    Returns the mean depth. */
-static double flat_ends(const Candidate *const member[], int size, const double plane[3], ArcPoint *end) {
-    double point[MAX_ENDS][3], middle[3] = {0}, along[3] = {0};
+static double flat_ends(const Candidate *const member[], int size, const double plane[3], ArcPoint *end, Flat *flat) {
+    double point[MAX_ENDS][3], *middle = flat->middle, *along = flat->along;
+    *flat = (Flat){{0}, {0}, {0}};
     int count = 0;
     for (int i = 0; i < size; i++)
         for (int e = 0; e < member[i]->ends; e++, count++) {
@@ -429,24 +453,24 @@ static double flat_ends(const Candidate *const member[], int size, const double 
     for (int k = 0; k < 3; k++) middle[k] /= count;
     double length = sqrt(plane[0] * plane[0] + plane[1] * plane[1] + plane[2] * plane[2]);
     double n[3] = {plane[0] / length, plane[1] / length, plane[2] / length};
-    double off = along[0] * n[0] + along[1] * n[1] + along[2] * n[2];
+    double off = dot(along, n);
     for (int k = 0; k < 3; k++) along[k] -= off * n[k];
     length = sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
     for (int k = 0; k < 3; k++) along[k] /= length;
-    double across[3] = {n[1] * along[2] - n[2] * along[1], n[2] * along[0] - n[0] * along[2],
-                        n[0] * along[1] - n[1] * along[0]};
+    for (int k = 0; k < 3; k++) flat->across[k] = n[(k + 1) % 3] * along[(k + 2) % 3] - n[(k + 2) % 3] * along[(k + 1) % 3];
     for (int e = 0; e < count; e++) {
         double d[3] = {point[e][0] - middle[0], point[e][1] - middle[1], point[e][2] - middle[2]};
-        end[e].x = d[0] * along[0] + d[1] * along[1] + d[2] * along[2];
-        end[e].y = d[0] * across[0] + d[1] * across[1] + d[2] * across[2];
+        end[e].x = dot(d, along);
+        end[e].y = dot(d, flat->across);
     }
     return middle[2];
 }
 
 static double circle_cost(const Candidate *const member[], int size, const double plane[3], const Scene *scene) {
     ArcPoint end[MAX_ENDS] = {{0}};
+    Flat flat;
     const RingParams *params = scene->ring;
-    double sigma = params->along_sigma_px * flat_ends(member, size, plane, end) / params->focal_x;
+    double sigma = params->along_sigma_px * flat_ends(member, size, plane, end, &flat) / params->focal_x;
     double best = arcs_cost(end, 2 * size, sigma);
     if (size < 3 || best < params->dropped_end_penalty) return best;
     for (int e = 0; e < 2 * size; e++) {
@@ -475,7 +499,7 @@ static double group_score(const Candidate *const member[], int size, const Scene
         if (!(circle < params->circle_limit * size)) return -INFINITY;
         cost += circle;
     }
-    cost += unseen_lasers_penalty(member, size, plane, scene);
+    cost += unseen_lasers_penalty(member, size, plane, NULL, NULL, scene);
     return merit - cost - oblique;
 }
 
@@ -483,8 +507,9 @@ static double group_score(const Candidate *const member[], int size, const Scene
 
 /* Half the chi-square of two concentric circles |P|^2 + b x + c y + d = 0 through the used ends; infinite if these are not on
    two edges, or if a piece between two ends is not on the face between the circles. The equation is linear and, around the
-   whole circle, unbiased. `sine` receives those of the angles at which the stripes cross their edges. */
-static double circles_cost(const ArcPoint *end, int ends, double sigma, double *sine) {
+   whole circle, unbiased. A single stripe leaves its distance from the centre open, which is taken for zero: the circles are
+   the smallest ones. `sine` receives those of the angles at which the stripes cross their edges. */
+static double circles_cost(const ArcPoint *end, int ends, int stripes, double sigma, Circles *circles, double *sine) {
     double count[2] = {0}, x[2] = {0}, y[2] = {0}, q[2] = {0}, xx = 0, xy = 0, yy = 0, xq = 0, yq = 0, cost = 0;
     for (int k = 0; k < ends; k++)
         if (end[k].used) {
@@ -506,9 +531,15 @@ static double circles_cost(const ArcPoint *end, int ends, double sigma, double *
             xq += dx * dq;
             yq += dy * dq;
         }
-    double determinant = xx * yy - xy * xy, radius[2];
-    if (!(determinant > 1e-6 * xx * yy)) return INFINITY;
-    double center_x = 0.5 * (yy * xq - xy * yq) / determinant, center_y = 0.5 * (xx * yq - xy * xq) / determinant;
+    double determinant = xx * yy - xy * xy, *radius = circles->radius;
+    if (stripes > 1 && !(determinant > 1e-6 * xx * yy)) return INFINITY;
+    double center_x = 0.5 * xq / xx, center_y = 0; /* of one stripe, along which x is measured */
+    if (stripes > 1) {
+        center_x = 0.5 * (yy * xq - xy * yq) / determinant;
+        center_y = 0.5 * (xx * yq - xy * xq) / determinant;
+    }
+    circles->x = center_x;
+    circles->y = center_y;
     for (int edge = 0; edge < 2; edge++) {
         double square = q[edge] - 2 * center_x * x[edge] - 2 * center_y * y[edge];
         radius[edge] = sqrt(square / count[edge] + center_x * center_x + center_y * center_y);
@@ -532,7 +563,8 @@ static int count_own(const Candidate *candidate) {
 }
 
 /* The number of own ends of a group of chords; 0 if none of its stripes is seen in two pieces, or if an arc has less than three
-   ends of two stripes: the curvature passes through any one of them, and a single piece of foil fits every other time. */
+   ends of two stripes: the curvature passes through any one of them, and a single piece of foil fits every other time. A
+   single stripe shows all four of its ends. */
 static int count_chord_ends(const Candidate *const member[], int size) {
     int own[2] = {0}, stripes[2] = {0}, pairs = 0;
     for (int i = 0; i < size; i++) {
@@ -548,6 +580,7 @@ static int count_chord_ends(const Candidate *const member[], int size) {
         pairs += last == 3;
     }
     int seen = pairs && stripes[0] > 1 && stripes[1] > 1 && own[0] > 2 && own[1] > 2;
+    if (size == 1) seen = pairs && own[0] + own[1] == 4;
     return seen ? own[0] + own[1] : 0;
 }
 
@@ -570,18 +603,24 @@ static double chord_score(const Candidate *const member[], int size, const Scene
     double plane[3] = {0}, merit = 0;
     ArcPoint end[MAX_ENDS] = {{0}};
     int own = count_chord_ends(member, size), ends = 0;
-    if (own < params->min_chord_ends) return -INFINITY;
+    if (own < (size == 1 ? 4 : params->min_chord_ends)) return -INFINITY;
+    Flat flat;
+    Circles fitted;
     for (int i = 0; i < size; i++) {
         merit += member[i]->merit;
         ends += member[i]->ends;
     }
     double cost = plane_cost(member, size, plane), tilt = atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
     if (!(cost < params->plane_limit * ends / 2) || tilt > params->max_tilt_rad) return -INFINITY;
-    double sigma = params->along_sigma_px * flat_ends(member, size, plane, end) / params->focal_x;
-    double circles = circles_cost(end, ends, sigma, sine);
+    double sigma_px = size == 1 ? params->oblique_sigma_px : params->along_sigma_px;
+    double sigma = sigma_px * flat_ends(member, size, plane, end, &flat) / params->focal_x;
+    double circles = circles_cost(end, ends, size, sigma, &fitted, sine);
     if (!(circles < params->circle_limit * ends / 2)) return -INFINITY;
+    const ArcPoint *own_end = end;
+    for (int i = 0; i < size; own_end += member[i++]->ends) /* the two pieces are on both sides of the centre */
+        if (member[i]->ends == 4 && !(own_end[1].x < fitted.x && fitted.x < own_end[2].x)) return -INFINITY;
     if (ends == 8 && size == 2 && may_be_straight(end, sigma, params->circle_limit)) return -INFINITY;
-    cost += circles + unseen_lasers_penalty(member, size, plane, scene);
+    cost += circles + unseen_lasers_penalty(member, size, plane, &flat, &fitted, scene);
     return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
 }
 
@@ -729,13 +768,13 @@ static Best best_group(const Candidate *all, int count, int size, const Scene *s
     return best;
 }
 
-/* The best group of chords of two or three lasers, by score and what is gained by the ends that agree. */
+/* The best group of chords of one to three lasers, by score and what is gained by the ends that agree. */
 static Best best_chords(const Candidate *all, int count, const Scene *scene, int *size) {
     Best best = {{-1, -1, -1}, -INFINITY, -INFINITY, -INFINITY};
     const Candidate *member[MAX_MEMBERS] = {NULL};
     int32_t index[MAX_MEMBERS] = {0};
     *size = 0;
-    for (int lasers = 2; count && lasers <= MAX_MEMBERS; lasers++) {
+    for (int lasers = 1; count && lasers <= MAX_MEMBERS; lasers++) {
         Best of_size = best;
         Search search = {all, count, lasers, scene, NULL, &of_size, NULL, 1};
         descend(&search, 0, member, index);
