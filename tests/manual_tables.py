@@ -26,6 +26,7 @@ from ringpose.files.schemas import RECORDS
 from ringpose.files.studies.specification import StudyFile
 from ringpose.measure.status import RULES, FlagRule
 from ringpose.types.board import Board
+from ringpose.types.capture import CaptureLine
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.points import ShotPoints
 from ringpose.types.pose import HARMLESS_FLAGS, PoseLine, Priors, RingMeasurement, RingPose
@@ -83,7 +84,7 @@ OF_SCENE = (
 )  # fmt: skip
 """Classes whose keys have a table of their own in simulate(1)."""
 
-OF_STUDY = (StudyFile, Factors, Drawn, Limits)
+OF_STUDY = (StudyFile, Factors, Drawn, Limits, CaptureLine)
 """Classes whose keys have a table of their own in study(5)."""
 
 

@@ -374,9 +374,12 @@ POINTS = Kind(
 )
 TRACK_LINE = Kind("a track line", "ringpose/track/", frozenset({"validity"}), "give the output of ringpose track")
 POSE_LINE = Kind("a pose line", "ringpose/pose/", frozenset({"pose", "flags"}), "give the output of ringpose pose")
+CAPTURE_LINE = Kind(
+    "a capture", "ringpose/capture/", frozenset({"closed_s"}), "give captures.jsonl of ringpose bench study"
+)
 
 _FILES = (CAMERA, RIG, SCENE, STUDY, BOARD, RINGS, SESSION)
-_RECORDS = (TRUTH, ROBOT_POSE, DETECTION, POINTS, TRACK_LINE, POSE_LINE)
+_RECORDS = (TRUTH, ROBOT_POSE, DETECTION, POINTS, TRACK_LINE, POSE_LINE, CAPTURE_LINE)
 _KINDS = (*_FILES, *_RECORDS)
 
 EXCHANGED = "see whether two files of the command are exchanged"

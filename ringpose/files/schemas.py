@@ -6,7 +6,7 @@ from typing import Any
 from ringpose.files import boards, rigs
 from ringpose.files.cameras import ros
 from ringpose.files.images import sessions
-from ringpose.files.records import detections, points, poses, robot_poses, tracks, truths
+from ringpose.files.records import captures, detections, points, poses, robot_poses, tracks, truths
 from ringpose.files.records.codec import RecordType
 from ringpose.files.scenes import scene
 from ringpose.files.studies import specification
@@ -19,6 +19,7 @@ RECORDS: Mapping[str, RecordType[Any]] = {
     "truth": truths.RECORD,
     "session": sessions.RECORD,
     "robot-pose": robot_poses.RECORD,
+    "capture": captures.RECORD,
     "rig": rigs.RECORD,
     "camera": ros.RECORD,
     "board": boards.RECORD,

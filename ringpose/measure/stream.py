@@ -164,8 +164,8 @@ class Stream:
         """The line of the next shot of the stream."""
         shot = source if isinstance(source, Shot) else None
         setup = replace(self.setup, rig=self.rig)
-        if shot is not None and self._motion_until is not None:
-            setup = replace(setup, camera=self._motion_until(shot.mid_exposure_s(-1)))
+        if self._motion_until is not None:
+            setup = replace(setup, camera=self._motion_until(_last_stamp_s(source)))
             if self._warm is not None:
                 self._warm.tracker.camera = setup.camera
         detection, line = _measured(setup, source, partial(self._detection, setup))
@@ -233,6 +233,16 @@ class Stream:
             return replace(measured, track=self._warm.added(line, self._clock))
         except DataError as problem:
             return replace(measured, problem=problem)
+
+
+def _last_stamp_s(source: Shot | Detection) -> float:
+    """Mid exposure of the last frame of a shot, as far as a detection shows it."""
+    if isinstance(source, Shot):
+        return source.mid_exposure_s(-1)
+    of_points = source.break_points.stamp_s if isinstance(source.break_points, BreakPoints) else None
+    of_edges = None if source.ring_edges is None else source.ring_edges.stamp_s
+    stamps_s = [each for each in (of_points, of_edges) if each is not None]
+    return float(np.nanmax(np.concatenate([[source.stamp_s], *stamps_s])))
 
 
 def _warm_start(setup: Setup, track: "TrackOptions") -> "WarmStart":

@@ -7,7 +7,7 @@ motion, rig, form of the ring, and outliers.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import islice
 from math import sqrt
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.geometry.rays import project, undistorted_pixels
+from ringpose.geometry.rays import project, rays, undistorted_pixels
 from ringpose.geometry.ring import EDGE_SIGN, edge_points
 from ringpose.optics.feature_errors import end_covariance_px2, fitted_columns, tilt_sigma_px
 from ringpose.simulate.appearance import (
@@ -48,7 +48,7 @@ from ringpose.types.detection import (
 )
 from ringpose.types.rig import Camera
 from ringpose.types.scene import RingView, Scene
-from ringpose.types.target import RingForm
+from ringpose.types.target import Box, Part, RingForm
 from ringpose.types.truth import Truth
 
 _FEATURES, _COMMON = 2, 3
@@ -100,7 +100,7 @@ def drawn_features(
     shown: RingView | None = None
     for number, view in enumerate(islice(ring_views(scene), count)):
         rng = np.random.default_rng([_FEATURES, scene.seed, number])
-        if shown is None or not _looks_like(view, shown):
+        if shown is None or not looks_like(view, shown):
             shown = view
         stamp_s = scene.start_s + number * scene.period_s
         yield draw_detection(scene, view, rng, deviations, common, stamp_s, expected_appearance(scene, shown))
@@ -123,7 +123,7 @@ MAX_CHANGE = 0.01
 """Motion of the ring over its distance, and change of its normal, up to which it looks the same."""
 
 
-def _looks_like(view: RingView, shown: RingView) -> bool:
+def looks_like(view: RingView, shown: RingView) -> bool:
     """Whether a view of a moving ring is so similar to an earlier one that the errors of its features are the same."""
     if view.path is None or (view.path, view.light) != (shown.path, shown.light):
         return False
@@ -203,6 +203,8 @@ def draw_detection(
                 stamp = np.where(seen, stamp_s + shown_s, np.nan)
                 opposite = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
                 break_points = replace(break_points, opposite=opposite)
+    if scene.gripper and isinstance(break_points, BreakPoints):
+        break_points, edges = _beside_gripper(scene, break_points, edges)
     detection = Detection(
         shot=view.name,
         stamp_s=stamp_s + first_s,
@@ -340,6 +342,48 @@ def _drawn_edges(
             )
         )
     return joined_edge_points(drawn) if drawn else None
+
+
+def _beside_gripper(
+    scene: Scene, points: BreakPoints, edges: RingEdgePoints | None
+) -> tuple[BreakPoints | NoBreakPoints, RingEdgePoints | None]:
+    """What the gripper leaves of the features: it hides them from the camera, and lies in the light of the lasers.
+
+    A stripe without any end is not seen. Where a stripe on the gripper itself begins, images show another end, which
+    the detector has to reject: that is not drawn.
+    """
+    lasers, camera = scene.rig.lasers, scene.rig.camera
+    towards = rays(points.position_px, camera)
+    point_m = towards * (lasers.distance_m[:, None] / (towards @ lasers.normal[:, :, None])[..., 0])[..., None]
+    ends = _is_between(scene.gripper, np.zeros(3), point_m)
+    ends |= _is_between(scene.gripper, lasers.projector_m[:, None], point_m)
+    gone = np.asarray((ends | ~points.seen).all(axis=1) & ends.any(axis=1))
+    flags = np.where(ends, points.flags | int(BreakPointFlag.OCCLUDED), points.flags)
+    left = replace(points.without(ends, gone), flags=flags)
+    if edges is not None:
+        shown = ~_is_between(scene.gripper, np.zeros(3), FAR_M * rays(edges.position_px, camera))
+        edges = RingEdgePoints(**{each.name: getattr(edges, each.name)[shown] for each in fields(edges)})
+    return left if left.of_lasers.any() else NoBreakPoints.NO_STRIPE, edges if edges and len(edges.edge) else None
+
+
+FAR_M = 100.0
+"""A distance beyond the ring."""
+
+
+def _is_between(
+    boxes: tuple[Part, ...], from_m: Float64[Array, "*any xyz=3"], to_m: Float64[Array, "*shape xyz=3"]
+) -> Bool[Array, "*shape"]:
+    """Whether a box is between places and points; false for points that are not known (slabs of the box)."""
+    between = np.zeros(to_m.shape[:-1], dtype=np.bool_)
+    for box in boxes:
+        assert isinstance(box.shape, Box)  # as the scene's reader has them
+        start_m = (from_m - box.translation_m) @ box.rotation
+        step_m = (to_m - box.translation_m) @ box.rotation - start_m
+        with np.errstate(all="ignore"):
+            low, high = (box.shape.low_m - start_m) / step_m, (box.shape.high_m - start_m) / step_m
+            begin, end = np.minimum(low, high).max(axis=-1), np.maximum(low, high).min(axis=-1)
+            between |= (begin <= end) & (end > 0.0) & (begin < 1.0)
+    return between
 
 
 def _as_measured(points: BreakPoints, camera: Camera, labelled: bool, stamp_s: Float64[Array, "laser"]) -> BreakPoints:

@@ -56,8 +56,12 @@ def _motion_ends(scene: Scene) -> bool:
 
 
 def simulated_shot(scene: Scene, views: Sequence[RingView], number: int) -> tuple[Shot, Truth]:
+    """Shot and truth of the view of this number."""
+    return shot_of_view(scene, views[number], number)
+
+
+def shot_of_view(scene: Scene, view: RingView, number: int) -> tuple[Shot, Truth]:
     """Shot and truth of one view; of a moving target, every frame is rendered at its own mid exposure."""
-    view = views[number]
     illuminated = illuminated_ring(scene, view, scene.sequence)
     exposure_s = view_exposure_s(scene, illuminated)
     begins_s = shot_begins_s(scene.sequence, exposure_s)
@@ -198,7 +202,7 @@ def illuminated_ring(
         shares = (np.arange(TIMES) + 0.5) / TIMES - 0.5
         during = tuple(target_placement(scene, view, time_s + float(share) * exposure_s) for share in shares)
     return IlluminatedTarget(
-        target=view_target(scene, view),
+        target=view_target(scene, view, placement),
         placement=placement,
         during=during,
         planes=scene.rig.lasers,

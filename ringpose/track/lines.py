@@ -247,17 +247,20 @@ def _pose(reported: _Reported, flags: PoseFlag) -> RingPose:
     )
 
 
-def capture_probability(covariance: Float64[Array, "4 4"], radial_m: float, tilt_rad: float) -> float:
+def capture_probability(
+    covariance: Float64[Array, "4 4"], radial_m: float, tilt_rad: float, offset: Float64[Array, "4"] | None = None
+) -> float:
     """Probability that errors of the grasp point and of the normal are both within a gripper's limits.
 
     `covariance`: of the errors of the grasp point inward and along the normal (m), and of the normal's two tilts (rad).
+    `offset`: how far the gripper is from grasp point and normal, in the same coordinates; nothing without it.
     Captured: the middle of the band is within `radial_m` of the grasp point, and the normal within `tilt_rad`. The
     integral of the Gaussian is a mean over evenly distributed points, accurate to 0.003.
     """
     scale = np.sqrt(np.maximum(covariance.diagonal(), np.finfo(float).tiny))
     variance, axes = np.linalg.eigh(covariance / scale / scale[:, None])
     root = scale[:, None] * axes * np.sqrt(np.maximum(variance, 0.0))
-    errors = _gaussian_points() @ root.T
+    errors = _gaussian_points() @ root.T + (0.0 if offset is None else offset)
     captured = (np.hypot(errors[:, 0], errors[:, 1]) <= radial_m) & (np.hypot(errors[:, 2], errors[:, 3]) <= tilt_rad)
     return float(captured.mean())
 

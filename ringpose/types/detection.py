@@ -143,7 +143,10 @@ class BreakPoints:
 
     def from_arc_near(self, place_px: tuple[float, float]) -> "BreakPoints":
         """The break points described from the arc that is nearer to a place in the (distorted) image."""
-        off_px = [float(np.linalg.norm(np.nanmean(arc.position_px, axis=(0, 1)) - place_px)) for arc in self.arcs]
+        off_px = [
+            float(np.linalg.norm(arc.position_px[arc.seen].mean(axis=0) - place_px)) if arc.seen.any() else math.inf
+            for arc in self.arcs
+        ]
         return self.arcs_exchanged() if len(off_px) > 1 and off_px[1] < off_px[0] else self
 
     @property

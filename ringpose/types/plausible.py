@@ -129,6 +129,9 @@ SPEED_M_S = Range(
 RATE_RAD_S = Range(
     quantity="rate of the target", lowest=0, highest=0.5, unit="radians a second", mistaken=("degrees a second",)
 )
+LATENCY_S = Range(
+    quantity="latency of a line in a study", lowest=0, highest=10, unit="seconds", mistaken=("milliseconds",)
+)
 RATE_SD_RAD_S = Range(
     quantity="standard deviation of the rate in a study", lowest=0, highest=1, unit="radians a second",
     mistaken=("degrees a second",),

@@ -398,6 +398,8 @@ class Scene:
     """Parts of the target other than its ring and `body`."""
     obstacles: tuple[Obstacle, ...] = ()
     """What stands on the ring's face or lies over it."""
+    gripper: tuple[Part, ...] = ()
+    """What is fixed to the camera and seen by it, such as the fingers of a gripper: parts in the camera frame."""
     lasers: LaserLight = LaserLight()
     lens: Optics = Optics()
     sensor: Sensor = Sensor()

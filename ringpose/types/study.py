@@ -12,6 +12,7 @@ from typing import Annotated, Literal, get_type_hints
 
 from ringpose.types import plausible
 from ringpose.types.assumptions import AssumptionOptions
+from ringpose.types.capture import CaptureLoop
 from ringpose.types.obstacles import Obstacle
 from ringpose.types.plausible import Range
 from ringpose.types.record import Key, Presence, key_of
@@ -196,6 +197,38 @@ class Factors:
             presence=Presence.IF_KNOWN,
         ),
     ] = None
+    target_rate_rad_s: Annotated[
+        _Number,
+        Key(
+            "Rate of the tumbling target; needs `capture`, as the factors that follow do.",
+            plausible=plausible.RATE_RAD_S,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    nutation_rad: Annotated[
+        _Number,
+        Key(
+            "Angle between its angular momentum and the ring's axis at the start.",
+            plausible=plausible.TILT_RAD,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
+    drift_m_s: Annotated[
+        _Number,
+        Key("Speed of its centre of mass.", plausible=plausible.SPEED_M_S, presence=Presence.IF_KNOWN),
+    ] = None
+    floating_base: Annotated[
+        _Switch,
+        Key("Whether the robot's base floats freely and reacts to the arm.", presence=Presence.IF_KNOWN),
+    ] = None
+    lost_share: Annotated[
+        _Number,
+        Key("Probability that a shot is lost.", plausible=plausible.SHARE, presence=Presence.IF_KNOWN),
+    ] = None
+    latency_s: Annotated[
+        _Number,
+        Key("Time from a shot to its line.", plausible=plausible.LATENCY_S, presence=Presence.IF_KNOWN),
+    ] = None
     surfaces: Annotated[
         _Text,
         Key("Names of the study's `surfaces`, joined by `+`; needs `level: images`.", presence=Presence.IF_KNOWN),
@@ -226,6 +259,9 @@ NUMBERS: Mapping[str, Range] = {
 ONLY_FEATURES = ("displaced_share", "background_share", "missing_share")
 """Factors with which images cannot be rendered, only features drawn."""
 
+ONLY_CAPTURE = ("target_rate_rad_s", "nutation_rad", "drift_m_s", "floating_base", "lost_share", "latency_s")
+"""Factors of the closed loop of a capture."""
+
 CASE = "case"
 """The factor whose values are names of cases."""
 
@@ -235,7 +271,7 @@ SURFACES = "surfaces"
 TEXTS = ("light", "sequence", "target", SURFACES)
 """The factors that are texts: a light, the laser steps of a shot, `ring` or `body`, and names of surfaces."""
 
-SWITCHES = ("whole", "rig_errors")
+SWITCHES = ("whole", "rig_errors", "floating_base")
 """The factors that are true or false."""
 
 
@@ -305,6 +341,8 @@ class Study:
     rig: Rig | None = None
     """The rig that measures; that of the scene if None."""
     run: ShotRun = ShotRun()
+    capture: CaptureLoop | None = None
+    """The loop in which a gripper is guided to the ring, if that is studied: each shot is then a run of it."""
     limits: Mapping[str, float | Mapping[str, float]] = field(default_factory=dict)
     """Limits of `LIMITS` on the first method; some of them by the name of the case."""
     files: tuple[Path, ...] = ()
@@ -341,6 +379,9 @@ LIMITS: Mapping[str, str] = {
 """Limits of a study, each with what it applies to: root mean square errors, shares of the shots with a ring, the number
 of wrong quantities, and the share of all shots that have the status `ok` and a wrong quantity."""
 
+CAPTURE_LIMITS: Mapping[str, str] = {"min_success_share": "success", "max_miss_share": "miss"}
+"""Limits of a study of captures."""
+
 _Limit = float | Mapping[str, Annotated[float, Key(least=0)]] | None
 
 
@@ -371,6 +412,15 @@ class Limits:
         _Limit,
         Key("Share of all shots that have the status `ok` and a wrong quantity.", least=0, presence=Presence.IF_KNOWN),
     ] = None
+    min_success_share: Annotated[
+        _Limit,
+        Key("Share of the runs in which the gripper captures; needs `capture`.", least=0, most=1,
+            presence=Presence.IF_KNOWN),
+    ] = None  # fmt: skip
+    max_miss_share: Annotated[
+        _Limit, Key("Share of the runs in which it closes beside the ring, likewise.", least=0,
+                    presence=Presence.IF_KNOWN),
+    ] = None  # fmt: skip
 
 
 ERRORS = (
@@ -386,7 +436,7 @@ BOUNDS = ("bound_center_m", "bound_normal_rad", "bound_radius_outer_m")
 TIMES = ("simulate_s", "detect_s", "pose_s")
 """The only columns that differ when a shot is computed again."""
 
-INTEGERS = ("shot", "break_points", "edge_points")
+INTEGERS = ("shot", "break_points", "edge_points", "shots", "rings")
 
 TEXT_COLUMNS = ("method", "expect", "outcome", "status", "reason", "flags", "wrong", "gross", "correct")
 
@@ -395,16 +445,39 @@ _TRUTH_COLUMNS = (
 )  # fmt: skip
 
 
+CAPTURE_ERRORS = ("radial_m", "tilt_rad")
+"""Errors of a gripper that has closed: its distance from the middle of the band, and its angle to the normal."""
+
+CAPTURE_VECTORS = ("gripper", "approach", "ring_center", "ring_normal")
+"""Vectors of a run at its closing, of which each has three columns, in the base frame at the start."""
+
+CAPTURE_RADII = ("ring_radius_inner_m", "ring_radius_outer_m", "window_m", "window_rad")
+"""Radii of the true ring, and window of the gripper."""
+
+CAPTURE_TIMES = ("run_s",)
+"""The column that differs when a run is computed again."""
+
+
 def columns(study: Study) -> dict[str, type]:
     """Names of the columns of a study's results, in their order, with the type of their values."""
     factors: dict[str, type] = {
         factor.name: float if factor.name in NUMBERS else bool if factor.name in SWITCHES else str
         for factor in study.factors
     }
+    if study.capture is not None:
+        vectors = [f"{name}_{axis}" for name in CAPTURE_VECTORS for axis in "xyz"]
+        numbers = ("closed_s", "capture_probability", *CAPTURE_ERRORS, *vectors)
+        return {
+            "shot": int,
+            **factors,
+            **dict.fromkeys(("method", "outcome", "status", "reason"), str),
+            **dict.fromkeys(("shots", "rings"), int),
+            **dict.fromkeys((*numbers, *CAPTURE_RADII, *CAPTURE_TIMES), float),
+        }
     return {
         "shot": int,
         **factors,
         **dict.fromkeys(TEXT_COLUMNS, str),
-        **dict.fromkeys(INTEGERS[1:], int),
+        **dict.fromkeys(("break_points", "edge_points"), int),
         **dict.fromkeys((*ERRORS, *SIGMAS, *BOUNDS, *_TRUTH_COLUMNS, *TIMES), float),
     }

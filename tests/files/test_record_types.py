@@ -36,6 +36,7 @@ from ringpose.files.schemas import RECORDS
 from ringpose.files.studies.specification import AssumeEntry, StudyFile, TrackEntry
 from ringpose.types.assumptions import RigStability
 from ringpose.types.board import Board
+from ringpose.types.capture import Arm, CaptureLine, CaptureLoop, FloatingBase, GripperState, TrueRing
 from ringpose.types.obstacles import Blanket, Cable, Heads
 from ringpose.types.rig import ParameterCovariance, RobotPose, ToolPose
 from ringpose.types.scene import (
@@ -120,6 +121,7 @@ SCENE = SceneFile(
             ),
         ),
     ),
+    gripper=(BoxEntry(name="finger", shape="box", size_m=np.ones(3), material=MATERIALS["black"]),),
     sun=SunEntry(irradiance_w_m2=30.0, direction=np.ones(3), diameter_rad=0.01),
     earth=Earth(direction=np.ones(3), orbit_radius_m=1e7, albedo=0.5),
     motion=MotionEntry(
@@ -185,7 +187,9 @@ STUDY = StudyFile(
         still=True, max_speed_m_s=0.1, max_rate_rad_s=0.2, ring_tolerance_m=1e-3, rig_stability=2.0
     ),
     methods=(StudyMethod.TRACK, StudyMethod.ELLIPSE_REFINED), table="case", calibrate=True,
-    track=TrackEntry(shots=3, period_s=0.5), limits=Limits(max_center_m=0.1, max_ok_wrong_share={"none": 0.5}),
+    track=TrackEntry(shots=3, period_s=0.5),
+    capture=CaptureLoop(timeout_s=30.0, arm=Arm(delay_s=0.1), base=FloatingBase(mass_kg=200.0)),
+    limits=Limits(max_center_m=0.1, max_ok_wrong_share={"none": 0.5}),
 )  # fmt: skip
 KNOWN: Mapping[str, Any] = {
     "study": STUDY,
@@ -207,6 +211,15 @@ KNOWN: Mapping[str, Any] = {
         legacy_pattern=True,
     ),
     "robot-pose": RobotPose(stamp_s=1.7e9, base_from_tool=TOOL),
+    "capture": CaptureLine(
+        run="a",
+        method="track",
+        groups={"light": "dark", "rate": 0.1},
+        closed_s=12.5,
+        capture_probability=0.99,
+        gripper=GripperState(grasp_m=np.ones(3), approach=np.array([0.0, 0.6, 0.8]), radial_m=0.003, tilt_rad=0.02),
+        ring=TrueRing(center_m=np.ones(3), normal=np.array([0.0, -0.6, -0.8]), radius_inner_m=0.5, radius_outer_m=0.6),
+    ),
 }
 """Of each kind a record in which everything is known."""
 

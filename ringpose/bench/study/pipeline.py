@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from ringpose.bench.capture.score import CaptureOutcome, captures_text, missed_limits, refuted_claims
+from ringpose.bench.capture.study import capture_rows, line_of_row
 from ringpose.bench.study import executors
 from ringpose.bench.study.executors import Done
 from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
@@ -111,7 +113,8 @@ def computed(
     executor = executors.in_this_process if processes == 1 else executors.by_processes(processes)
     if scheduler is not None or scheduler_file is not None:
         executor = executors.by_cluster(scheduler, scheduler_file)
-    return executors.computed(executor, partial(study_rows, study), indices)
+    rows = study_rows if study.capture is None else capture_rows
+    return executors.computed(executor, partial(rows, study), indices)
 
 
 def write_finished(study: Study, folder: ResultFolder, done: Iterable[Done]) -> None:
@@ -130,6 +133,28 @@ def write_finished(study: Study, folder: ResultFolder, done: Iterable[Done]) -> 
     finally:
         if unwritten:
             folder.add(unwritten)
+
+
+def written_captures(study: Study, folder: ResultFolder) -> tuple[str, list[str]]:
+    """Write captures.jsonl of a study of captures; returns its table, and a message for each limit that is missed."""
+    from ringpose.files import atomic
+    from ringpose.files.records import line_of
+    from ringpose.files.records.captures import RECORD
+
+    names = [factor.name for factor in study.factors]
+    lines, failed = [], 0
+    with atomic.replacing(folder.folder / "captures.jsonl", force=True) as stream:
+        for row in folder.rows():
+            if row["outcome"] == CaptureOutcome.ERROR:
+                failed += 1
+                continue
+            lines.append(line_of_row(row, names))
+            stream.write(line_of(RECORD.write(lines[-1])).encode())
+    by = [factor.name for factor in study.grid if len(factor.values) > 1]
+    missed = [*missed_limits(study.limits, study.methods[0].value, lines, by), *refuted_claims(lines)]
+    heading = f"{study.title}: {study.shots} runs ({study.level}), seed {study.seed}"
+    table = captures_text(lines, by)
+    return f"{heading}\n\n{table}", [*missed, *([f"{failed} runs could not be computed"] if failed else [])]
 
 
 def _worst(study: Study, folder: ResultFolder, count: int) -> Iterator[tuple[int, StudyShot]]:

@@ -54,7 +54,7 @@ from ringpose.types.truth import Truth
 _FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE = 10, 11, 12, 13, 14, 15, 16
 """First numbers of the seeds of a shot's factors, scene, true rig, assumed radii, motion, turned plane and case."""
 
-_POSE_METHODS = {
+POSE_METHODS = {
     StudyMethod.ML: (Method.ML, False),
     StudyMethod.ML_KNOWN: (Method.ML, True),
     StudyMethod.PAPER: (Method.PAPER, False),
@@ -138,7 +138,7 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     scene = scene_of(study, index, setting)
     stated: Mapping[str, Any] = {name: setting[name] for name in _DEVIATIONS if name in setting}
     deviations = Deviations(**stated)
-    turned = _with_turned_plane(scene.rig, setting, np.random.default_rng([_PLANE, study.seed, index]))
+    turned = with_turned_plane(scene.rig, setting, np.random.default_rng([_PLANE, study.seed, index]))
     taken_by = replace(scene, rig=turned)
     for name in str(setting[SURFACES]).split("+") if SURFACES in setting else ():
         taken_by = with_surface(taken_by, study.surfaces[name])
@@ -174,7 +174,7 @@ def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
     return with_run(replace(scene, views=ring_views(scene)[:], approaches=()), study.run, _motion(setting), rng)
 
 
-def _with_turned_plane(rig: Rig, setting: Mapping[str, Value], rng: np.random.Generator) -> Rig:
+def with_turned_plane(rig: Rig, setting: Mapping[str, Value], rng: np.random.Generator) -> Rig:
     """The rig with one light plane, drawn, turned by the setting's `plane_tilt_rad` about its projector."""
     tilt_rad = float(setting.get("plane_tilt_rad", 0.0))
     if not tilt_rad:
@@ -211,7 +211,7 @@ def options_of(study: Study, setting: Mapping[str, Value]) -> AssumptionOptions:
 
 def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     rig, truth, options = shot.scene.rig, shot.truth, options_of(study, shot.setting)
-    radii = _radii(shot.scene, np.random.default_rng([_RADII, study.seed, index]))
+    radii = radii_of(shot.scene, np.random.default_rng([_RADII, study.seed, index]))
     result = run_result(shot.run, rig, study.methods, radii, options)
     bounds = bounds_of(shot.scene, {method in WITH_RADII for method in study.methods})
     points, edges = result.detection.break_points, result.detection.ring_edges
@@ -264,7 +264,7 @@ def run_result(
     The methods of `ringpose pose` measure the run as a stream: the line of the last shot is by the rig that the earlier
     ones have corrected. The first of them detects for the others, but for a track, which predicts what the shots show.
     """
-    detecting = next((method for method in methods if method in _POSE_METHODS), StudyMethod.ML)
+    detecting = next((method for method in methods if method in POSE_METHODS), StudyMethod.ML)
     detections: list[Detection] = []
     lines, pose_s, detect_s = {}, {}, 0.0
     for method in dict.fromkeys([detecting, *methods]):
@@ -273,7 +273,7 @@ def run_result(
             lines[method] = _baseline_line(method, detections[-1], rig, radii)
             pose_s[method] = perf_counter() - start_s
             continue
-        of_pose, known = _POSE_METHODS.get(method, (Method.ML, False))
+        of_pose, known = POSE_METHODS.get(method, (Method.ML, False))
         setup = Setup(rig=rig, method=of_pose, known=radii if known else None, options=options)
         is_track = method is StudyMethod.TRACK
         stream = Stream(setup, track_options(options) if is_track else None)
@@ -320,12 +320,12 @@ def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | No
     if scene.views[-1].path is not None or len(scene.views) > 1:
         scene = replace(scene, views=(replace(scene.views[-1], path=None),))
     exact = next(drawn_features(scene, Deviations(noise=False))).detection
-    radii = {False: None, True: _radii(scene)}
+    radii = {False: None, True: radii_of(scene)}
     lines = {known: pose_line(exact, scene.rig, known=radii[known], options=NOISE_ONLY) for known in with_radii}
     return {known: cramer_rao(line, scene.rig) for known, line in lines.items()}
 
 
-def _radii(scene: Scene, rng: np.random.Generator | None = None) -> KnownRadii:
+def radii_of(scene: Scene, rng: np.random.Generator | None = None) -> KnownRadii:
     """The radii of the scene's ring as a prior of the estimator; with `rng`, they have errors drawn from that prior."""
     radius_m, sd_m = np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m]), np.full(2, RADIUS_SD_M)
     return KnownRadii(radius_m=radius_m if rng is None else radius_m + sd_m * rng.standard_normal(2), sd_m=sd_m)

@@ -29,7 +29,7 @@ def study(
         typer.Argument(
             metavar="STUDY",
             help="A study.yaml, or a preset: "
-            "paper-synthetic, paper-lights, calibrated, tumbling, violations, outliers.",
+            "paper-synthetic, paper-lights, calibrated, tumbling, capture, violations, outliers.",
         ),
     ],
     output: Annotated[
@@ -80,6 +80,9 @@ def study(
     worst = 0 if keep is None else _number_of_worst(keep)
     check_report(report, force)
     read = read_study(study_path(study), count, seed)
+    of_captures = read.capture is not None
+    if of_captures and (worst or report is not None):
+        raise UsageError("--report" if worst == 0 else "--keep", "is not for studies of captures", "leave it out")
     metadata = pipeline.metadata(read, shlex.join(["ringpose", *sys.argv[1:]]))
     batch = Batch()
     with opened(output, metadata, force=force, wait=wait) as folder:
@@ -89,10 +92,13 @@ def study(
         done = pipeline.computed(prepared, missing, jobs, scheduler, scheduler_file)
         pipeline.write_finished(prepared, folder, _reported(done, len(missing), prepared.shots, quiet or cron))
         folder.write_tables(columns(prepared), metadata)
-        summary = summarized(prepared, folder.rows())
-        exceeded = exceeded_limits(prepared, summary)
+        if of_captures:
+            text, exceeded = pipeline.written_captures(prepared, folder)
+        else:
+            summary = summarized(prepared, folder.rows())
+            text, exceeded = study_text(prepared, summary), exceeded_limits(prepared, summary)
         if not cron or exceeded:
-            records.write_text(study_text(prepared, summary))
+            records.write_text(text)
         if worst:
             pipeline.write_worst(prepared, folder, worst)
         if report is not None:

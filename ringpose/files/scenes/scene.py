@@ -118,6 +118,13 @@ class SceneFile:
         tuple[Obstacle, ...],
         Key("What stands on the ring's face or lies over it.", tag="kind", presence=Presence.IF_KNOWN),
     ] = ()
+    gripper: Annotated[
+        tuple[targets.BoxEntry, ...],
+        Key(
+            "Boxes in the camera frame that are fixed to the camera and may hide the ring, as a gripper's fingers do.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = ()
     sun: Annotated[
         SunEntry | None,
         Key("The sun in all lights that have no `sun_w_m2` of their own.", presence=Presence.IF_KNOWN),
@@ -171,6 +178,7 @@ def read_scene(path: Path) -> Scene:
             own = fields.fields("boards").fields(key)
             values["camera_boards" if key == "camera" else "plane_boards"] = views.board_set_of(own, board_set, lasers)
     values |= _target_and_motion(fields, entry, path.parent)
+    values["gripper"] = targets.parts_of(fields, "gripper", entry.gripper)
     _check_number_of_shots(fields, values)
     if values["ring"] is NO_RING:
         for key in ("views", "approaches"):  # they show the rest

@@ -1,6 +1,6 @@
 """The target of a scene: the keys `target` and `body`, the parts, and the models in the package."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -234,6 +234,11 @@ def target_of(fields: Fields, entry: TargetEntry) -> Target:
     if given.ring is not None and model.ring is not None:
         raise fields.problem("parts", "has a ring, and so has the model", "remove `edges`")
     return Target(parts=(*model.parts, *given.parts), ring=given.ring or model.ring)
+
+
+def parts_of(fields: Fields, key: str, entries: Sequence[BoxEntry]) -> tuple[target.Part, ...]:
+    """Boxes that are not parts of the target."""
+    return _parts(zip(fields.each(key), entries, strict=True)).parts if entries else ()
 
 
 def _model(fields: Fields, name: str) -> Target:

@@ -18,13 +18,16 @@ from ringpose.files.schema import FREE_PREFIX, STUDY, Fields, hint
 from ringpose.files.yaml import read_yaml
 from ringpose.types import plausible
 from ringpose.types.assumptions import AssumptionOptions
+from ringpose.types.capture import CaptureLoop
 from ringpose.types.record import Key, Presence
 from ringpose.types.scene import Scene
 from ringpose.types.session import parsed_sequence
 from ringpose.types.study import (
+    CAPTURE_LIMITS,
     CASE,
     LIMITS,
     NUMBERS,
+    ONLY_CAPTURE,
     ONLY_FEATURES,
     SURFACES,
     Drawn,
@@ -37,6 +40,7 @@ from ringpose.types.study import (
     Surface,
     Value,
 )
+from ringpose.types.target import FreeMotion
 
 SCHEMA = "study/1"
 
@@ -175,6 +179,14 @@ class StudyFile:
             presence=Presence.IF_KNOWN,
         ),
     ] = None
+    capture: Annotated[
+        CaptureLoop | None,
+        Key(
+            "Every shot of the study is a run in which a robot, which carries the camera, guides a gripper to the "
+            "ring; `distance_m` is that at its start. The scene needs a `motion` without a file, and its rig a mount.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
     limits: Annotated[
         Limits,
         Key(
@@ -241,6 +253,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
         assumed=_assumed(fields, entry.assume) if "assume" in fields.values else None,
         calibrate=entry.calibrate,
         run=_run(fields, entry),
+        capture=entry.capture,
         limits=_limits(fields, entry.limits, cases),
     )
     _check(fields, study)
@@ -259,6 +272,10 @@ def _given(fields: Fields, key: str, option: int | None, own: int | None) -> int
 
 
 def _run(fields: Fields, entry: StudyFile) -> ShotRun:
+    if entry.capture is not None:
+        if entry.track is not None:
+            raise fields.problem("track", "excludes capture, which tracks every shot of a run", "remove one of them")
+        return ShotRun()
     if (StudyMethod.TRACK in entry.methods) != (entry.track is not None):
         remedy = "give track: {shots: N, period_s: S} and the method track"
         raise fields.problem("track", "and the method track need each other", remedy)
@@ -283,7 +300,7 @@ def _assumed(fields: Fields, entry: AssumeEntry | None) -> AssumptionOptions:
 
 def _limits(fields: Fields, entry: Limits, cases: Iterable[str]) -> dict[str, float | Mapping[str, float]]:
     """The limits that are given; one that is a mapping has a value for each of the cases that it names."""
-    given = {name: getattr(entry, name) for name in LIMITS}
+    given = {name: getattr(entry, name) for name in (*LIMITS, *CAPTURE_LIMITS)}
     for name, limit in given.items():
         if isinstance(limit, Mapping):
             fields.fields("limits").fields(name, tuple(cases))
@@ -376,6 +393,7 @@ def _check(fields: Fields, study: Study) -> None:
     if study.shots > MAX_SHOTS:
         finding = f"has {study.shots} shots, must have at most {MAX_SHOTS}"
         raise fields.problem("", finding, "give a smaller grid or count")
+    _check_capture(fields, study)
     for factor in study.factors:
         _check_factor(fields, f"vary.{factor.name}", factor, study)
     for name, own in study.cases.items():
@@ -387,6 +405,28 @@ def _check(fields: Fields, study: Study) -> None:
         raise fields.problem("calibrate", "needs images", "give level: images")
     if study.calibrate and (study.scene.camera_boards is None or study.scene.plane_boards is None):
         raise fields.problem("calibrate", "needs board views, and the scene has none", "add boards to the scene")
+
+
+def _check_capture(fields: Fields, study: Study) -> None:
+    """Reject what a study of captures lacks, and what others must not have."""
+    drawn = [*study.factors, *(factor for own in study.cases.values() for factor in own)]
+    names = {factor.name for factor in drawn}
+    excluded: tuple[str, ...] = ONLY_CAPTURE if study.capture is None else UNUSED_IN_CAPTURE
+    other = "is of captures" if study.capture is None else "is not of captures"
+    if used := [name for name in excluded if name in names]:
+        raise fields.problem(f"vary.{used[0]}", other, "give capture, or leave it out")
+    excluded = tuple(CAPTURE_LIMITS if study.capture is None else LIMITS)
+    if used := [name for name in study.limits if name in excluded]:
+        raise fields.problem(f"limits.{used[0]}", other, "give another limit")
+    if study.capture is not None and not isinstance(study.scene.motion, FreeMotion):
+        remedy = "give its motion an angular_velocity_rad_s, whose place the study's factors take"
+        raise fields.problem("scene", "has no free motion, which gives the target its inertia", remedy)
+    if study.capture is not None and study.scene.rig.mount is None:
+        raise fields.problem("scene", "has a rig without mount", "add tool_from_camera to its rig file")
+
+
+UNUSED_IN_CAPTURE = ("speed_sd_m_s", "rate_sd_rad_s", "target", "surfaces")
+"""Factors that a run of a capture has no use for: its target has a motion of its own."""
 
 
 def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> None:

@@ -1,6 +1,7 @@
 """The parts of a target, with the height field of crinkled foil, or a board, as the tables of the ray caster."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -9,6 +10,7 @@ import numpy as np
 from ringpose.errors import DataError
 from ringpose.geometry.board import board_print, outline_m
 from ringpose.kernels.render import BOX, MAX_PARTS, MAX_POINTS, NONE, REVOLUTION, TEXELS, TargetTables
+from ringpose.simulate.placement import Placement
 from ringpose.types.arrays import Array, Float32, Float64
 from ringpose.types.board import Board
 from ringpose.types.obstacles import Obstacle
@@ -25,9 +27,21 @@ _CRINKLES = 16
 _OCTAVES = 3
 
 
-def view_target(scene: Scene, view: RingView) -> TargetTables:
-    """The parts that a view shows, as tables."""
-    return _tables(*_described(scene, view))
+def view_target(scene: Scene, view: RingView, placement: Placement) -> TargetTables:
+    """The parts that a view shows, as tables; a gripper before the camera is where it is at this placement."""
+    described = _described(scene, view)
+    if not scene.gripper:
+        return _tables(*described)
+    return target_tables((*_parts(*described), *(_before_camera(part, placement) for part in scene.gripper)))
+
+
+def _before_camera(part: Part, placement: Placement) -> Part:
+    """A part in the camera frame as one in the target frame."""
+    return replace(
+        part,
+        rotation=placement.rotation.T @ part.rotation,
+        translation_m=placement.points_target(part.translation_m[:, None])[:, 0],
+    )
 
 
 def part_around(scene: Scene, view: RingView, point_m: Float64[Array, "xyz=3"]) -> str | None:
