@@ -1,13 +1,24 @@
-"""Least squares: robust scale and weights, which a minority of outliers hardly changes, Gauss-Newton, and damping."""
+"""Least squares: robust scale and weights, the Gauss-Newton iteration, elimination of parameters, and damping."""
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from ringpose.types.arrays import Array, Bool, Float64
 
 State = TypeVar("State")
+
+
+class LinearProblem(Protocol):
+    """Residuals linearised at a state; what else is needed for the step is known to `retract` alone."""
+
+    @property
+    def decrease(self) -> float:
+        """By how much the step is predicted to reduce the sum of squares."""
+
+
+Problem = TypeVar("Problem", bound=LinearProblem)
 
 STD_PER_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -28,23 +39,95 @@ def huber_weights(residuals: Float64[Array, "n"], limit: float) -> Float64[Array
 
 
 def gauss_newton(
-    linearize: Callable[[State], tuple[Float64[Array, "row"], Float64[Array, "row parameter"]]],
-    retract: Callable[[State, Float64[Array, "parameter"]], State],
+    linearize: Callable[[State], Problem],
+    retract: Callable[[State, Problem], State],
     start: State,
     iterations: int,
-) -> State:
-    """The state after this number of undamped Gauss-Newton iterations, for few parameters and a start near the minimum.
+    tolerance: float = 0.0,
+) -> tuple[State, bool]:
+    """The state after at most this number of Gauss-Newton iterations, and whether it has converged.
 
-    `linearize` returns the residuals r of a state and their Jacobian J with respect to a step, `retract` the state
-    after a step; each step minimises |r + J step|. The iteration ends early at a state whose residuals are not finite.
+    It has at a state from which the next step is predicted to reduce the sum of squares by no more than the tolerance;
+    a sum that is no number ends the iteration, too. `linearize` returns the problem linearised at a state, `retract`
+    the state after its step, or the same state if no step makes it better, which also ends the iteration.
+
+    The estimator of the ring iterates by itself (`estimate.solver`): its weights, its common errors and its limit of
+    convergence change on the way, and it extrapolates.
     """
     state = start
     for _ in range(iterations):
-        residual, jacobian = linearize(state)
-        if not np.isfinite(residual).all():
+        problem = linearize(state)
+        if not problem.decrease > tolerance:
+            return state, bool(np.isfinite(problem.decrease))
+        moved = retract(state, problem)
+        if moved is state:
             break
-        state = retract(state, np.linalg.lstsq(jacobian, -residual)[0])
-    return state
+        state = moved
+    return state, False
+
+
+class Rows(NamedTuple):
+    """The linear problem of few parameters: the step minimises |residual + jacobian step|."""
+
+    residual: Float64[Array, "row"]
+    step: Float64[Array, "parameter"]
+    decrease: float
+
+    @classmethod
+    def of(cls, residual: Float64[Array, "row"], jacobian: Float64[Array, "row parameter"]) -> "Rows":
+        """Residuals of a state and their derivatives by a step."""
+        if not np.isfinite(residual).all():
+            return cls(residual, np.zeros(jacobian.shape[1]), float("nan"))
+        step = np.linalg.lstsq(jacobian, -residual)[0]
+        return cls(residual, step, -float(residual @ (jacobian @ step)))
+
+
+class Eliminated(NamedTuple):
+    """A linear problem without the parameters that concern one part of the data alone (the pose of one view).
+
+    With the derivatives P by the part's own parameters p and S by the shared ones s, the residuals r = P p + S s of
+    unit variance are projected onto the complement of P's columns. Normal matrix and right-hand side of what is left
+    are the Schur complement of those of p and s together: S^T S - S^T P (P^T P)^-1 P^T S, and the same with r.
+    """
+
+    wrt_shared: Float64[Array, "row shared"]
+    """S, projected."""
+    residual: Float64[Array, "row"]
+    """r, projected."""
+    own_step: Float64[Array, "own"]
+    """(P^T P)^-1 P^T r, the step of the own parameters if the shared ones are held ..."""
+    own_wrt_shared: Float64[Array, "own shared"]
+    """... and -(P^T P)^-1 P^T S, its derivative by these."""
+    own_decrease: float
+    """By how much that step alone reduces the sum of squares."""
+
+    @classmethod
+    def of(
+        cls,
+        wrt_own: Float64[Array, "row own"],
+        wrt_shared: Float64[Array, "row shared"],
+        residual: Float64[Array, "row"],
+    ) -> "Eliminated":
+        """By QR decomposition of P; LinAlgError if the part does not determine its own parameters."""
+        basis, triangle = np.linalg.qr(wrt_own)
+        along = basis.T @ np.column_stack([wrt_shared, residual])
+        across = np.column_stack([wrt_shared, residual]) - basis @ along
+        own = np.linalg.solve(triangle, along)
+        return cls(across[:, :-1], across[:, -1], own[:, -1], -own[:, :-1], float(along[:, -1] @ along[:, -1]))
+
+    @property
+    def information(self) -> Float64[Array, "shared shared"]:
+        """Normal matrix of the shared parameters."""
+        return self.wrt_shared.T @ self.wrt_shared
+
+    @property
+    def gradient(self) -> Float64[Array, "shared"]:
+        """Right-hand side of the normal equations: information @ step = gradient."""
+        return self.wrt_shared.T @ self.residual
+
+    def own(self, shared_step: Float64[Array, "shared"]) -> Float64[Array, "own"]:
+        """Step of the own parameters for a step of the shared ones (back-substitution)."""
+        return self.own_step + self.own_wrt_shared @ shared_step
 
 
 def inverse_condition(matrix: Float64[Array, "batch row column"]) -> Float64[Array, "batch"]:

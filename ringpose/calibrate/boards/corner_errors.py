@@ -24,7 +24,7 @@ from scipy.special import digamma, polygamma
 
 from ringpose.calibrate.boards.patterns.circles import seen_offsets
 from ringpose.calibrate.boards.pose import board_pose, moved_pose, projection_jacobians, residuals
-from ringpose.geometry.least_squares import robust_std
+from ringpose.geometry.least_squares import Eliminated, robust_std
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose, BoardView
@@ -73,15 +73,9 @@ class ViewEquations(NamedTuple):
     wrt_camera: Float64[Array, "row parameter"]
     residual: Float64[Array, "row"]
 
-    def without_pose(self) -> tuple[Float64[Array, "row parameter"], Float64[Array, "row"]]:
-        """Camera Jacobian and residuals, projected onto the complement of the pose Jacobian's column space."""
-        orthogonal, _ = np.linalg.qr(self.wrt_pose)
-        wrt_camera = self.wrt_camera - orthogonal @ (orthogonal.T @ self.wrt_camera)
-        return wrt_camera, self.residual - orthogonal @ (orthogonal.T @ self.residual)
-
-    def pose_step(self, step: Float64[Array, "parameter"]) -> Float64[Array, "pose=6"]:
-        """Step of the pose for a step of the camera's parameters (back-substitution)."""
-        return np.linalg.lstsq(self.wrt_pose, self.residual - self.wrt_camera @ step)[0]
+    def without_pose(self) -> Eliminated:
+        """The equations of the camera that are left when the pose is eliminated."""
+        return Eliminated.of(self.wrt_pose, self.wrt_camera, self.residual)
 
 
 def view_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float) -> ViewEquations:

@@ -19,6 +19,7 @@ from ringpose.calibrate.camera import validation
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.outliers import other_camera_finding
 from ringpose.calibrate.camera.parameters import CameraModel, parameters_of
+from ringpose.geometry.least_squares import Eliminated
 from ringpose.geometry.rotations import angle_between, rotation_vector
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.board import BoardPose, BoardView
@@ -119,7 +120,8 @@ def bow_error(
         _bow_equations(without_distortion_bias(view, solution.camera), pose, solution.camera, sigma)
         for view, pose, sigma in several
     ]
-    jacobian, residual = (np.concatenate(part) for part in zip(*rows, strict=True))
+    jacobian = np.concatenate([one.wrt_shared for one in rows])
+    residual = np.concatenate([one.residual for one in rows])
     free = np.flatnonzero(np.append(model.free, np.ones(3, dtype=bool)))
     scale = np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     scaled = jacobian[:, free] / scale
@@ -136,10 +138,8 @@ def bow_error(
     return BowError(check(BOARD_LIMITS, "bow_sigmas", significance / widening, **words), shift)
 
 
-def _bow_equations(
-    view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float
-) -> tuple[Float64[Array, "row column"], Float64[Array, "row"]]:
-    """Whitened Jacobian with respect to camera and bow, and residuals, with the pose eliminated."""
+def _bow_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float) -> Eliminated:
+    """Whitened equations of camera and bow, with the pose eliminated."""
     equations = view_equations(view, pose, camera, sigma_px)
     wrt_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
     wrt_height = wrt_pose[..., 3:] @ pose.rotation[:, 2]

@@ -10,7 +10,7 @@ from ringpose.calibrate.boards.corner_errors import view_equations
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.camera.validation import used_views
-from ringpose.geometry.least_squares import robust_std
+from ringpose.geometry.least_squares import Rows, gauss_newton, robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
 from ringpose.types.calibration import CameraCalibration, Check
@@ -156,16 +156,22 @@ def camera_of(views: Sequence[BoardView], camera: Camera, unknowns: int) -> Came
     start that is 10 % off, the focal length agrees with that of `scipy.optimize.least_squares` to 3e-8 of its value;
     this takes 8 ms, SciPy's solver 30 to 35 ms.
     """
-    fitted = camera
     directions = np.zeros((len(parameters_of(camera)), 3))
     directions[:2, 0] = parameters_of(camera)[:2]
     directions[2, 1] = directions[3, 2] = 1.0
     directions = directions[:, :unknowns]
-    for _ in range(_ITERATIONS):
-        rows = [view_equations(view, board_pose(view, fitted), fitted, 1.0).without_pose() for view in views]
-        wrt_camera, residual = (np.concatenate(parts) for parts in zip(*rows, strict=True))
-        step = np.linalg.lstsq(wrt_camera @ directions, residual)[0]
-        if not np.abs(step[0]) < 0.5:  # relative step of the focal length: diverged
-            return camera
-        fitted = camera_with(parameters_of(fitted) + directions @ step, fitted)
-    return fitted
+
+    def linearize(fitted: Camera) -> Rows:
+        reduced = [view_equations(view, board_pose(view, fitted), fitted, 1.0).without_pose() for view in views]
+        wrt_camera = np.concatenate([one.wrt_shared for one in reduced])
+        return Rows.of(np.concatenate([one.residual for one in reduced]), -wrt_camera @ directions)
+
+    def retract(fitted: Camera, problem: Rows) -> Camera:
+        if not np.abs(problem.step[0]) < 0.5:  # relative step of the focal length
+            raise np.linalg.LinAlgError("the iteration diverges")
+        return camera_with(parameters_of(fitted) + directions @ problem.step, fitted)
+
+    try:
+        return gauss_newton(linearize, retract, camera, _ITERATIONS)[0]
+    except np.linalg.LinAlgError:
+        return camera

@@ -22,7 +22,7 @@ from ringpose.calibrate.camera.bundle_adjustment import (
 )
 from ringpose.calibrate.camera.parameters import CameraModel, camera_with, parameters_of
 from ringpose.errors import DataError
-from ringpose.geometry.least_squares import covariance_of_free, gauss_newton
+from ringpose.geometry.least_squares import Rows, covariance_of_free, gauss_newton
 from ringpose.geometry.rays import project, rays
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose, BoardView
@@ -187,16 +187,14 @@ def displacement_px(one: Camera, other: Camera) -> MapValues:
     def offset_px(directions: Float64[Array, "n xyz=3"]) -> Float64[Array, "n xy=2"]:
         return project(directions, other) - map_px.reshape(-1, 2)
 
-    def linearize(
-        directions: Float64[Array, "n xyz=3"],
-    ) -> tuple[Float64[Array, "row"], Float64[Array, "row rotation=3"]]:
+    def linearize(directions: Float64[Array, "n xyz=3"]) -> Rows:
         wrt_rotation = projection_jacobians(directions, _CAMERA_POSE, other)[0][..., :3]
-        return (middle * offset_px(directions)).ravel(), (middle[..., None] * wrt_rotation).reshape(-1, 3)
+        return Rows.of((middle * offset_px(directions)).ravel(), (middle[..., None] * wrt_rotation).reshape(-1, 3))
 
-    def retract(directions: Float64[Array, "n xyz=3"], step: Float64[Array, "rotation=3"]) -> Float64[Array, "n xyz=3"]:
-        return directions @ np.asarray(cv2.Rodrigues(step)[0], dtype=np.float64).T
+    def retract(directions: Float64[Array, "n xyz=3"], problem: Rows) -> Float64[Array, "n xyz=3"]:
+        return directions @ np.asarray(cv2.Rodrigues(problem.step)[0], dtype=np.float64).T
 
-    directions = gauss_newton(linearize, retract, rays(map_px, one).reshape(-1, 3), _ROTATION_ITERATIONS)
+    directions, _ = gauss_newton(linearize, retract, rays(map_px, one).reshape(-1, 3), _ROTATION_ITERATIONS)
     return np.linalg.norm(offset_px(directions), axis=-1).reshape(map_px.shape[:2])
 
 

@@ -18,7 +18,7 @@ from ringpose.calibrate.camera.parameters import parameter_names
 from ringpose.calibrate.planes import joint_adjustment
 from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.estimate.nuisance import point_covariance
-from ringpose.geometry.least_squares import covariance_of_free
+from ringpose.geometry.least_squares import Eliminated, covariance_of_free
 from ringpose.geometry.rays import project, rays
 from ringpose.pose.closed_form import differentiated, pose_covariance
 from ringpose.types.arrays import Array, Bool, Float64, Int64
@@ -133,19 +133,16 @@ def sheet_height_m(
             beside = view.beside_print(triangulated(view.stripes_px[laser], pose, state.camera), pose)
             depth_m = float(pose.rotation[:, 2] @ pose.translation_m)
             wrt_height = beside * state.distance_m[laser] / (depth_m * stripe.metres_per_pixel)
-            wrt_height /= data.center_px[index][laser]
+            wrt_height /= -data.center_px[index][laser]
             blocks.append(np.column_stack([joint_adjustment.stripe_rows(data, index, laser, stripe), wrt_height]))
         rows = np.concatenate(
             [np.sqrt(joint_adjustment.robust_weights(each[:, -2]))[:, None] * each for each in blocks]
         )
-        wrt_pose, residual = rows[:, :6], rows[:, -2]
-        wrt_shared = np.column_stack([rows[:, 6 : 6 + count], rows[:, -1]])
-        by_pose = np.linalg.solve(wrt_pose.T @ wrt_pose, wrt_pose.T @ np.column_stack([wrt_shared, residual]))
-        free = wrt_shared.T @ np.column_stack([wrt_shared, residual]) - wrt_shared.T @ wrt_pose @ by_pose
-        information += free[:, :-1]
-        gradient += free[:, -1]
+        reduced = Eliminated.of(rows[:, :6], np.column_stack([rows[:, 6 : 6 + count], rows[:, -1]]), rows[:, -2])
+        information += reduced.information
+        gradient += reduced.gradient
     covariance = covariance_of_free(information)
-    return float(-(covariance @ gradient)[-1]), float(np.sqrt(excess * covariance[-1, -1]))
+    return float((covariance @ gradient)[-1]), float(np.sqrt(excess * covariance[-1, -1]))
 
 
 def worst_depth_sd_m(rig: Rig, distances_m: Sequence[float]) -> Float64[Array, "laser distance"]:

@@ -1,14 +1,15 @@
 """Joint adjustment: board poses and light planes by maximum likelihood from corners and stripes (method(7), section 6).
 
 Corners determine the board poses, and stripes tie the boards to the light planes: stripes on many boards determine
-each board pose better than its corners alone. Let r be the whitened residuals of a view, P and S their derivatives
-with respect to the view's pose and to the shared parameters s (three for each light plane, then the intrinsic
-parameters). Views have only s in common, so that each pose is eliminated from the normal equations of its view:
+each board pose better than its corners alone. Let r be the whitened residuals of a view, P and S those changes of the
+view's pose and of the shared parameters s (three for each light plane, then the intrinsic parameters) that explain
+them: r = P dp + S ds. Views have only s in common, so that each pose is eliminated from the normal equations of its
+view (`Eliminated`):
 
     (1) information   N = sum over views of S^T S - (P^T S)^T (P^T P)^-1 P^T S
     (2) gradient      g = sum over views of S^T r - (P^T S)^T (P^T P)^-1 P^T r
-    (3) shared step   ds = -(N + Q)^-1 (g + Q (s - s0)),  Q and s0 the camera's prior
-    (4) pose step     dp = -(P^T P)^-1 P^T (r + S ds)
+    (3) shared step   ds = (N + Q)^-1 (g + Q (s0 - s)),  Q and s0 the camera's prior
+    (4) pose step     dp = (P^T P)^-1 P^T (r - S ds)
 
 `scipy.optimize.least_squares` with Huber's loss solves the dense system of all poses instead: for eight boards and
 18,000 residuals it finds the same planes (to 2e-8 um) in 1.0 s instead of 0.1 s, and a calibration solves this system
@@ -34,7 +35,7 @@ from ringpose.calibrate.planes.stripes.errors import (
     stripe_residuals,
 )
 from ringpose.errors import DataError
-from ringpose.geometry.least_squares import covariance_of_free, huber_weights, robust_std
+from ringpose.geometry.least_squares import Eliminated, covariance_of_free, gauss_newton, huber_weights, robust_std
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.geometry.rotations import tilted
 from ringpose.types.arrays import Array, Bool, Float64
@@ -136,16 +137,16 @@ def joint_fit(data: JointData, start: JointState) -> JointState:
 
     The start has to be near the solution. Raises DataError if the iteration does not converge.
     """
-    state = start
-    for _ in range(_MAX_ITERATIONS):
-        state, decrease = _gauss_newton_step(data, state)
-        if decrease < _CONVERGED:
-            return state
-    raise DataError(
-        "calibrate-planes",
-        "the joint adjustment of board poses and light planes does not converge",
-        "try --method total-least-squares",
+    state, converged = gauss_newton(
+        lambda state: _linearized(data, state), _retract, start, _MAX_ITERATIONS, _CONVERGED
     )
+    if not converged:
+        raise DataError(
+            "calibrate-planes",
+            "the joint adjustment of board poses and light planes does not converge",
+            "try --method total-least-squares",
+        )
+    return state
 
 
 def free_parameters(camera: Camera) -> Bool[Array, "parameter"]:
@@ -171,10 +172,19 @@ def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: fl
     return float(robust_weights(residual) @ residual**2)
 
 
-def _gauss_newton_step(data: JointData, state: JointState) -> tuple[JointState, float]:
-    """The state after one Gauss-Newton step, and the predicted decrease of the sum of squares."""
-    equations = _reduced_equations(data, state)
-    information, gradient = equations.information.copy(), equations.gradient.copy()
+class _Linearized(NamedTuple):
+    """The steps from a state by the equations linearised there."""
+
+    shared_step: Float64[Array, "shared"]
+    pose_steps: tuple[Float64[Array, "pose=6"], ...]
+    decrease: float
+    """By how much they are predicted to reduce the sum of squares."""
+
+
+def _linearized(data: JointData, state: JointState) -> _Linearized:
+    """The steps of shared parameters and poses at a state, Eqs. (3) and (4)."""
+    reduced = _without_poses(data, state)
+    information, gradient = _sum_of_information(reduced), np.sum([one.gradient for one in reduced], axis=0)
     planes = _PLANE * data.lasers
     free = np.diag(information) > 0  # a laser without stripes keeps its plane
     free[planes:] = False
@@ -182,38 +192,24 @@ def _gauss_newton_step(data: JointData, state: JointState) -> tuple[JointState, 
         free[planes:] = free_parameters(data.camera)
         prior = prior_information(data.camera)
         information[planes:, planes:] += prior
-        gradient[planes:] += prior @ (parameters_of(state.camera) - parameters_of(data.camera))
-
-    # Eq. (3), scaled to a unit diagonal because the parameters have different units.
-    scale = np.sqrt(np.diag(information)[free])
-    shared = np.zeros(len(gradient))
-    scaled = information[np.ix_(free, free)] / np.outer(scale, scale)
-    shared[free] = -np.linalg.solve(scaled, gradient[free] / scale) / scale
-    decrease = equations.pose_decrease - float(shared @ gradient)
-
-    poses = tuple(
-        moved_pose(pose, step + wrt_shared @ shared)  # Eq. (4)
-        for pose, step, wrt_shared in zip(state.poses, equations.pose_step, equations.pose_wrt_shared, strict=True)
+        gradient[planes:] += prior @ (parameters_of(data.camera) - parameters_of(state.camera))
+    step = covariance_of_free(information, free) @ gradient
+    return _Linearized(
+        shared_step=step,
+        pose_steps=tuple(one.own(step) for one in reduced),
+        decrease=float(step @ gradient) + sum(one.own_decrease for one in reduced),
     )
-    plane = shared[:planes].reshape(-1, _PLANE)  # two tilts and a distance each
+
+
+def _retract(state: JointState, problem: _Linearized) -> JointState:
+    """The state after the steps."""
+    poses = [moved_pose(pose, step) for pose, step in zip(state.poses, problem.pose_steps, strict=True)]
+    planes = _PLANE * len(state.distance_m)
+    plane = problem.shared_step[:planes].reshape(-1, _PLANE)  # two tilts and a distance each
     normal = np.stack([tilted(own, tilt) for own, tilt in zip(state.normal, plane[:, :2], strict=True)])
-    camera = state.camera
-    if data.free_camera:
-        camera = camera_with(parameters_of(camera) + shared[planes:], camera)
-    return JointState(poses=poses, normal=normal, distance_m=state.distance_m + plane[:, 2], camera=camera), decrease
-
-
-class _ReducedEquations(NamedTuple):
-    """Normal equations of the shared parameters, and what determines the steps of the poses."""
-
-    information: Float64[Array, "shared shared"]
-    gradient: Float64[Array, "shared"]
-    pose_step: tuple[Float64[Array, "pose=6"], ...]
-    """By view: -(P^T P)^-1 P^T r, the step if the shared parameters are held ..."""
-    pose_wrt_shared: tuple[Float64[Array, "pose=6 shared"], ...]
-    """... and -(P^T P)^-1 P^T S, its derivative with respect to these."""
-    pose_decrease: float
-    """Predicted decrease of the sum of squares if only the poses move."""
+    camera_step = problem.shared_step[planes:]
+    camera = camera_with(parameters_of(state.camera) + camera_step, state.camera) if camera_step.any() else state.camera
+    return JointState(poses=tuple(poses), normal=normal, distance_m=state.distance_m + plane[:, 2], camera=camera)
 
 
 def joint_information(data: JointData, state: JointState) -> Float64[Array, "shared shared"]:
@@ -221,25 +217,18 @@ def joint_information(data: JointData, state: JointState) -> Float64[Array, "sha
 
     The camera's prior is not included.
     """
-    return _reduced_equations(data, state).information
+    return _sum_of_information(_without_poses(data, state))
 
 
-def _reduced_equations(data: JointData, state: JointState) -> _ReducedEquations:
-    """Normal equations with the poses eliminated, Eqs. (1) and (2)."""
-    number = _PLANE * data.lasers + 4 + len(state.camera.distortion_coefficients)
-    information, gradient = np.zeros((number, number)), np.zeros(number)
-    pose_step, pose_wrt_shared, decrease = [], [], 0.0
-    for view in range(len(data.views)):
-        rows = _robust_rows(data, state, view)
-        wrt_pose, wrt_shared, residual = rows[:, :_POSE], rows[:, _POSE:-1], rows[:, -1]
-        inverse = np.linalg.inv(wrt_pose.T @ wrt_pose)
-        pose_gradient, cross = wrt_pose.T @ residual, wrt_pose.T @ wrt_shared
-        information += wrt_shared.T @ wrt_shared - cross.T @ inverse @ cross
-        gradient += wrt_shared.T @ residual - cross.T @ inverse @ pose_gradient
-        pose_step.append(-inverse @ pose_gradient)
-        pose_wrt_shared.append(-inverse @ cross)
-        decrease += float(pose_gradient @ inverse @ pose_gradient)
-    return _ReducedEquations(information, gradient, tuple(pose_step), tuple(pose_wrt_shared), decrease)
+def _without_poses(data: JointData, state: JointState) -> list[Eliminated]:
+    """The equations of each view with its pose eliminated."""
+    rows = [_robust_rows(data, state, view) for view in range(len(data.views))]
+    return [Eliminated.of(own[:, :_POSE], own[:, _POSE:-1], own[:, -1]) for own in rows]
+
+
+def _sum_of_information(reduced: Sequence[Eliminated]) -> Float64[Array, "shared shared"]:
+    """Eq. (1)."""
+    return np.sum([one.information for one in reduced], axis=0)
 
 
 def _robust_rows(data: JointData, state: JointState, index: int) -> Float64[Array, "row column"]:
@@ -250,17 +239,17 @@ def _robust_rows(data: JointData, state: JointState, index: int) -> Float64[Arra
 
 
 def corner_rows(data: JointData, state: JointState, index: int) -> Float64[Array, "row column"]:
-    """Whitened derivatives P and S of the residuals of a view's corners, and the residuals r: [P, S, r]."""
+    """Whitened rows [P, S, r] of a view's corners."""
     corners = view_equations(data.views[index].board, state.poses[index], state.camera, float(data.corner_px[index]))
     no_planes = np.zeros((len(corners.residual), _PLANE * data.lasers))
-    return np.column_stack([-corners.wrt_pose, no_planes, -corners.wrt_camera, corners.residual])
+    return np.column_stack([corners.wrt_pose, no_planes, corners.wrt_camera, corners.residual])
 
 
 def stripe_rows(data: JointData, index: int, laser: int, stripe: StripeResiduals) -> Float64[Array, "row column"]:
-    """Whitened derivatives P and S of the residuals r of one laser's stripe centres, as in `corner_rows`: [P, S, r]."""
+    """Whitened rows [P, S, r] of one laser's stripe centres."""
     wrt_planes = np.zeros((len(stripe.residual_px), data.lasers, _PLANE))
     wrt_planes[:, laser] = stripe.wrt_plane
-    columns = [stripe.wrt_pose, wrt_planes.reshape(len(wrt_planes), -1), stripe.wrt_camera, stripe.residual_px]
+    columns = [-stripe.wrt_pose, -wrt_planes.reshape(len(wrt_planes), -1), -stripe.wrt_camera, stripe.residual_px]
     return np.column_stack(columns) / data.center_px[index][laser]
 
 

@@ -30,7 +30,7 @@ from scipy.special import ndtr
 
 from ringpose.calibrate.boards.corner_errors import endpoint_correlation
 from ringpose.calibrate.boards.patterns.image_patch import MIN_BLUR_PX, GreyImage
-from ringpose.geometry.least_squares import gauss_newton, huber_weights, robust_std
+from ringpose.geometry.least_squares import Rows, gauss_newton, huber_weights, robust_std
 from ringpose.types.arrays import Array, Bool, Float64
 
 MIN_CELL_PX = 4.0
@@ -382,17 +382,19 @@ def _blur_px(samples: SideSamples, reach: float) -> float:
     area = np.abs(share - np.heaviside(across, 0.5)).sum() * samples.spacing
     start = np.clip(np.sqrt(np.pi / 2) * area / samples.used.any(axis=1).sum(), MIN_BLUR_PX, reach)
 
-    def linearize(state: Float64[Array, "2"]) -> tuple[Float64[Array, "sample"], Float64[Array, "sample 2"]]:
+    def linearize(state: Float64[Array, "2"]) -> Rows:
         shift, blur = state
         z = (across - shift) / blur
         density = np.exp(-0.5 * z**2) / (np.sqrt(2 * np.pi) * blur)
         residual = np.clip(ndtr(z) - share, -_MAX_PROFILE_RESIDUAL, _MAX_PROFILE_RESIDUAL)
-        return residual, np.column_stack([-density, -z * density])
+        return Rows.of(residual, np.column_stack([-density, -z * density]))
 
-    def retract(state: Float64[Array, "2"], step: Float64[Array, "2"]) -> Float64[Array, "2"]:
-        return np.array([state[0] + step[0], np.clip(state[1] + step[1], MIN_BLUR_PX, reach)])
+    def retract(state: Float64[Array, "2"], problem: Rows) -> Float64[Array, "2"]:
+        shift, blur = state + problem.step
+        return np.array([shift, np.clip(blur, MIN_BLUR_PX, reach)])
 
-    return float(gauss_newton(linearize, retract, np.array([0.0, start]), _BLUR_ITERATIONS)[1])
+    (_, blur_px), _ = gauss_newton(linearize, retract, np.array([0.0, start]), _BLUR_ITERATIONS)
+    return float(blur_px)
 
 
 def side_intersection(before: Side, after: Side, corner: Float64[Array, "2"]) -> Float64[Array, "2"]:
