@@ -436,9 +436,11 @@ BOUNDS = ("bound_center_m", "bound_normal_rad", "bound_radius_outer_m")
 TIMES = ("simulate_s", "detect_s", "pose_s")
 """The only columns that differ when a shot is computed again."""
 
-INTEGERS = ("shot", "break_points", "edge_points", "shots", "rings")
+INTEGERS = ("shot", "stripes", "break_points", "edge_points", "shots", "rings")
 
-TEXT_COLUMNS = ("method", "expect", "outcome", "status", "reason", "flags", "wrong", "gross", "correct")
+TEXT_COLUMNS = (
+    "method", "expect", "outcome", "status", "reason", "flags", "wrong", "gross", "correct", "reported", "determined",
+)  # fmt: skip
 
 _TRUTH_COLUMNS = (
     "true_center_x_m", "true_center_y_m", "true_center_z_m", "true_normal_x", "true_normal_y", "true_normal_z",
@@ -478,6 +480,6 @@ def columns(study: Study) -> dict[str, type]:
         "shot": int,
         **factors,
         **dict.fromkeys(TEXT_COLUMNS, str),
-        **dict.fromkeys(("break_points", "edge_points"), int),
+        **dict.fromkeys(("stripes", "break_points", "edge_points"), int),
         **dict.fromkeys((*ERRORS, *SIGMAS, *BOUNDS, *_TRUTH_COLUMNS, *TIMES), float),
     }

@@ -10,6 +10,7 @@ from math import sqrt
 
 import numpy as np
 
+from ringpose.estimate.covariance import GRASP_UNKNOWN_FROM_M, WEAK_SD, exceeds_sd
 from ringpose.estimate.nuisance import covariance_root
 from ringpose.geometry.ring import normal_and_center
 from ringpose.types.arrays import Array, Float64
@@ -51,6 +52,18 @@ class Bound:
             "normal_rad": self.normal_sd_rad,
             "radius_outer_m": self.radius_outer_sd_m,
         }
+
+
+def determined_quantities(line: PoseLine, bound: Bound | None, radius_inner_m: float) -> tuple[str, ...]:
+    """Which of `center` and `grasp` a shot determines within the limits from which `pose` flags them.
+
+    `line` is the pose from features without errors: the grasp point is also determined where a bound of all parameters
+    does not exist, by its stated covariance.
+    """
+    grasp_m2 = None if line.pose is None else line.pose.covariance_grasp_m2
+    of_center = bound is not None and not exceeds_sd(bound.center_m2, WEAK_SD * radius_inner_m)
+    of_grasp = grasp_m2 is not None and not exceeds_sd(grasp_m2, GRASP_UNKNOWN_FROM_M)
+    return tuple(name for name, is_known in (("center", of_center), ("grasp", of_grasp)) if is_known)
 
 
 def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:

@@ -128,7 +128,7 @@ ERRORS_SHOWN = (
 )  # fmt: skip
 """Columns of the first table by cells: root mean square errors, the median of the centre's, bounds and their ratios."""
 
-CONSISTENCY_SHOWN = ("shots", "pose %", "center %", "ok %", "wrong", "center NEES", "normal NEES", "pose ms")
+CONSISTENCY_SHOWN = ("shots", "pose %", "center %", "grasp %", "ok %", "wrong", "center NEES", "normal NEES", "pose ms")
 
 
 def _paper_table(study: Study, summary: StudySummary) -> Table:

@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ringpose.bench.design.bounds import Bound, cramer_rao
+from ringpose.bench.design.bounds import Bound, cramer_rao, determined_quantities
 from ringpose.bench.design.rig_changes import with_changes, with_surface
-from ringpose.bench.score import Judgement, Score, estimate_of, score
+from ringpose.bench.score import FLAGS_OF_QUANTITY, Judgement, Score, estimate_of, score
 from ringpose.bench.study.baselines import BASELINES
 from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation
@@ -35,7 +35,7 @@ from ringpose.types.assumptions import NOISE_ONLY, AssumptionOptions, MotionPrio
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Shot
 from ringpose.types.options import Method
-from ringpose.types.pose import KnownRadii, NoPose, PoseLine, RingPose
+from ringpose.types.pose import HARMLESS_FLAGS, KnownRadii, NoPose, PoseLine, RingPose
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, Scene
 from ringpose.types.study import (
@@ -213,12 +213,13 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     rig, truth, options = shot.scene.rig, shot.truth, options_of(study, shot.setting)
     radii = radii_of(shot.scene, np.random.default_rng([_RADII, study.seed, index]))
     result = run_result(shot.run, rig, study.methods, radii, options)
-    bounds = bounds_of(shot.scene, {method in WITH_RADII for method in study.methods})
+    shown = shown_by(shot.scene, {method in WITH_RADII for method in study.methods})
     points, edges = result.detection.break_points, result.detection.ring_edges
     common: Row = {
         "shot": index,
         **shot.setting,
         "expect": truth.expect,
+        "stripes": shown.stripes,
         "break_points": int(points.seen.sum()) if isinstance(points, BreakPoints) else 0,
         "edge_points": 0 if edges is None else len(edges.edge),
         **_by_axis("true_center_{}_m", truth.center_m),
@@ -233,7 +234,8 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
         # the grasp point of a track moves with the ring, also out of the arc that the stripes of the last shot span
         scored = score(truth, estimate, method.value, None if method is StudyMethod.TRACK else rig.camera)
         row = {**empty, **common, **_scored(scored, line, truth), "pose_s": result.pose_s[method]}
-        bound = None if method is StudyMethod.TRACK else bounds[method in WITH_RADII]
+        row["determined"] = " ".join(shown.determined[method in WITH_RADII])
+        bound = None if method is StudyMethod.TRACK else shown.bounds[method in WITH_RADII]
         if bound is not None:
             row |= {f"bound_{name}": value for name, value in bound.standard_deviations.items()}
         yield {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
@@ -312,17 +314,32 @@ def _line_of_track(measured: Measured) -> PoseLine:
     )
 
 
-def bounds_of(scene: Scene, with_radii: Iterable[bool]) -> dict[bool, Bound | None]:
-    """Cramér-Rao bounds of the scene's last view without and with known radii; None where the ring is not determined.
+class Shown(NamedTuple):
+    """What the image of a view shows of its ring, in features without errors."""
 
-    They are the bounds for the break points and edges that an image of this scene shows, without motion.
-    """
+    stripes: int
+    """Number of lasers of whose stripe on the face an end is in view."""
+    bounds: Mapping[bool, Bound | None]
+    """Cramér-Rao bounds without and with known radii; None where the ring is not determined."""
+    determined: Mapping[bool, tuple[str, ...]]
+    """Names of the quantities that are determined within the limits of their flags, without and with known radii."""
+
+
+def shown_by(scene: Scene, with_radii: Iterable[bool]) -> Shown:
+    """What the scene's last view shows by the break points and edges in its image, without motion."""
     if scene.views[-1].path is not None or len(scene.views) > 1:
         scene = replace(scene, views=(replace(scene.views[-1], path=None),))
     exact = next(drawn_features(scene, Deviations(noise=False))).detection
-    radii = {False: None, True: radii_of(scene)}
+    points, radii = exact.break_points, {False: None, True: radii_of(scene)}
+    arcs = points.arcs if isinstance(points, BreakPoints) else ()
     lines = {known: pose_line(exact, scene.rig, known=radii[known], options=NOISE_ONLY) for known in with_radii}
-    return {known: cramer_rao(line, scene.rig) for known, line in lines.items()}
+    bounds = {known: cramer_rao(line, scene.rig) for known, line in lines.items()}
+    inner_m = scene.ring.radius_inner_m
+    return Shown(
+        stripes=int(np.any([arc.seen.any(axis=1) for arc in arcs], axis=0).sum()) if arcs else 0,
+        bounds=bounds,
+        determined={known: determined_quantities(lines[known], bounds[known], inner_m) for known in lines},
+    )
 
 
 def radii_of(scene: Scene, rng: np.random.Generator | None = None) -> KnownRadii:
@@ -347,6 +364,9 @@ def _scored(scored: Score, line: PoseLine, truth: Truth) -> Row:
         "wrong": " ".join(scored.wrong),
         "gross": " ".join(scored.gross),
         "correct": " ".join(name for name, judgement in scored.judgements.items() if judgement is Judgement.CORRECT),
+        "reported": " ".join(
+            name for name in scored.judgements if not line.flags & FLAGS_OF_QUANTITY[name] & ~HARMLESS_FLAGS
+        ),
         **{name: float(value) for name, value in scored.errors.items()},
     }
     pose = line.pose

@@ -38,6 +38,12 @@ class Statistics:
     """Shots with the status `ok` and a wrong quantity."""
     judged: int = 0
     gross: int = 0
+    determined: Counter[str] = field(default_factory=Counter)
+    """Number of shots that determine each of centre and grasp point within the limits of its flags ..."""
+    reported: Counter[str] = field(default_factory=Counter)
+    """... and of those among them that report it without such a flag."""
+    stripes: Counter[int] = field(default_factory=Counter)
+    """Number of shots by the number of stripes that they show on the ring's face."""
     reasons: Counter[str] = field(default_factory=Counter)
     """Number of shots by the reason why they have no pose."""
     values: dict[str, "array[float]"] = field(default_factory=lambda: defaultdict(lambda: array("d")))
@@ -58,6 +64,10 @@ class Statistics:
         self.ok_wrong += wrong > 0 and row["status"] == "ok"
         self.judged += wrong + len(names_in(row["correct"]))
         self.gross += len(names_in(row["gross"]))
+        determined = set(names_in(row.get("determined")))
+        self.determined.update(determined)
+        self.reported.update(determined.intersection(names_in(row.get("reported"))))
+        self.stripes[int(row.get("stripes") or 0)] += 1
         if not has_pose and (has_target or row["outcome"] == "error"):
             self.reasons[str(row["reason"] or "no pose").split(":")[0]] += 1
         for name in (*ERRORS, *SIGMAS, *BOUNDS, *TIMES):
@@ -159,7 +169,10 @@ PAPER_TIMES = (("detection (ms)", "detect_s"), ("pose (ms)", "pose_s"))
 
 def study_text(study: Study, summary: StudySummary) -> str:
     """All tables of a study."""
+    stripes = summary.all(summary.methods[0]).stripes
+    shown = ", ".join(f"{stripes[number]} with {number}" for number in sorted(stripes))
     heading = [f"{study.title}: {study.shots} shots ({study.level}), seed {study.seed}", *violation_lines(study)]
+    heading.append(f"shots by the number of stripes with an end on the face in view: {shown}")
     blocks = ["\n".join(heading)]
     for method in summary.methods:
         blocks.append("\n".join(paper_table(study, summary, method).lines()))
@@ -200,7 +213,9 @@ def paper_table(study: Study, summary: StudySummary, method: str) -> Table:
     if study.level == "images":
         rows += [[label, *(number(column.median(name) * 1e3) for column in wide)] for label, name in PAPER_TIMES]
     rows.append(["shots with a pose", *(f"{column.answers}/{column.targets}" for column in wide)])
-    rows.append(["shots with a centre", *(f"{column.count('center_m')}/{column.targets}" for column in wide)])
+    for name, quantity in (("center", "centre"), ("grasp", "grasp point")):
+        counts = [f"{column.reported[name]}/{column.determined[name]}" for column in wide]
+        rows.append([f"{quantity} where determined", *counts])
     if any(column.targets < column.shots for column in wide):
         rows.append(
             ["poses without a ring", *(f"{column.false_poses}/{column.shots - column.targets}" for column in wide)]
@@ -238,7 +253,7 @@ def wide_columns(summary: StudySummary, method: str) -> tuple[list[Key], list[St
 
 
 HEADINGS = (
-    "shots", "pose %", "center %", "ok %", "wrong", "center mm", "median", "bound", "ratio",
+    "shots", "pose %", "center %", "grasp %", "ok %", "wrong", "center mm", "median", "bound", "ratio",
     "normal deg", "normal bound", "normal ratio", "r_out mm", "grasp mm", "center NEES", "normal NEES", "pose ms",
 )  # fmt: skip
 
@@ -260,9 +275,10 @@ def _statistics_cells(statistics: Statistics) -> list[str]:
     return [
         str(statistics.shots),
         _percent(statistics.answers, statistics.targets),
-        _percent(statistics.count("center_m"), statistics.targets),
+        _percent(statistics.reported["center"], statistics.determined["center"]),
+        _percent(statistics.reported["grasp"], statistics.determined["grasp"]),
         _percent(statistics.available, statistics.targets),
-        f"{statistics.wrong}/{statistics.judged}",
+        f"{statistics.wrong}/{statistics.judged}" if statistics.judged else ABSENT,
         number(statistics.rms("center_m") * 1e3),
         number(statistics.median("center_m") * 1e3),
         number(statistics.rms("bound_center_m") * 1e3),

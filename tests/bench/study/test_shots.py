@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ringpose.bench.study.shots import ERROR, scene_of, setting_of, study_rows, study_shot, with_run
+from ringpose.bench.study.shots import ERROR, scene_of, setting_of, shown_by, study_rows, study_shot, with_run
 from ringpose.bench.study.table import exceeded_limits, finding, status_table, study_text, summarized, worst_shots
 from ringpose.errors import DataError
 from ringpose.files.scenes.scene import read_scene
@@ -105,8 +105,8 @@ def test_a_known_radius_lowers_bound_and_error(study, rows):
 def test_the_first_table_has_the_form_of_the_papers(study, rows):
     lines = study_text(study, summarized(study, rows)).splitlines()
 
-    assert lines[2].split()[-4:] == ["300", "mm", "500", "mm"]
-    assert [line.split("(")[0].split()[-1] for line in lines[3:8]] == ["x", "y", "z", "pitch", "yaw"]
+    assert lines[3].split()[-4:] == ["300", "mm", "500", "mm"]
+    assert [line.split("(")[0].split()[-1] for line in lines[4:9]] == ["x", "y", "z", "pitch", "yaw"]
 
 
 def test_a_shot_that_cannot_be_computed_is_a_row_with_the_reason(study):
@@ -399,3 +399,22 @@ def test_a_track_of_three_shots_is_better_than_the_last_one(moving):
     assert rms["track"] < 0.8 * rms["ml"]
     assert all(row["wrong"] == "" and row["status"] != "none" for row in by_method["track"])
     assert all((row["velocity_m_s"] is None) == (index % 4 == 0) for index, row in enumerate(by_method["ml"]))
+
+
+def test_availability_is_the_share_of_the_shots_whose_features_determine_a_quantity(study, rows):
+    statistics = summarized(study, rows).all("ml")
+
+    assert statistics.determined["grasp"] == study.shots
+    assert statistics.determined["center"] == sum("center" in str(row["determined"]) for row in rows[::3]) > 0
+    assert statistics.reported == statistics.determined
+    assert sum(statistics.stripes.values()) == study.shots
+
+
+def test_a_center_is_determined_only_within_the_limit_of_its_flag(study):
+    dark = {"distance_m": 0.3, "light": "dim", "tilt_rad": 0.0}
+    scenes = [scene_of(study, 0, {**dark, "ring_radius_outer_m": radius_m}) for radius_m in (0.3, 3.0)]
+
+    small, large = (shown_by(scene, [False]) for scene in scenes)
+
+    assert small.stripes == large.stripes == 3
+    assert (small.determined[False], large.determined[False]) == (("center", "grasp"), ("grasp",))
