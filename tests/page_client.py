@@ -55,6 +55,11 @@ class PageClient:
         """All texts of the page."""
         return "\n".join(each.get("_markdown") or "" for each in self.elements.values())
 
+    @property
+    def html(self) -> str:
+        """All HTML of the page."""
+        return "\n".join(str(each["content"]) for each in self.elements.values() if "content" in each)
+
     def wait_for(self, condition) -> None:
         """Take in what the page sends until a condition holds."""
         while not condition():

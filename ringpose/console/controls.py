@@ -45,6 +45,8 @@ class Number:
     high: float
     step: float
     initial: float
+    hint: str = ""
+    """What it sets, for the tooltip."""
 
     def taken(self, given: object) -> float:
         """The number that was given; DataError outside the range."""
@@ -63,6 +65,7 @@ class Choice:
     label: str
     options: tuple[str, ...]
     initial: str
+    hint: str = ""
 
     def taken(self, given: object) -> str:
         """The option that was given; DataError if there is none such."""
@@ -77,6 +80,7 @@ class Switch:
 
     label: str
     initial: bool
+    hint: str = ""
 
     def taken(self, given: object) -> bool:
         """The position that was given; DataError if it is neither."""
@@ -92,6 +96,7 @@ class LaserSequence:
     label: str
     lasers: int
     initial: str
+    hint: str = ""
 
     def taken(self, given: object) -> str:
         """The sequence that was given; DataError or UsageError if it is not one, or too long."""
@@ -105,6 +110,40 @@ class LaserSequence:
 
 
 Control = Number | Choice | Switch | LaserSequence
+
+HINTS = {
+    "view": "Pose and light of a view of the scene, at time 0.",
+    "motion": "Spin and tumble of a known motion; still: none.",
+    "speed": "Seconds of the motion in a second; each shot measured: the motion waits for each measurement.",
+    "center": "Centre of the ring in the camera's frame (x right, y down, z forward), in metres.",
+    "pitch": "Turn of the ring about the camera's x axis, in degrees; 0 faces the camera.",
+    "yaw": "Turn of the ring about the camera's y axis, in degrees; 0 faces the camera.",
+    "roll": "Turn of the target about the ring's axis, in degrees.",
+    "spin": "Rate about the ring's axis, in degrees a second; a round ring does not show it.",
+    "tumble": "Rate about an axis through the centre along the camera's x axis, in degrees a second.",
+    "drift": "Velocity of the centre in the camera's frame, in millimetres a second.",
+    "time": "Time of the motion, in seconds.",
+    "focal": "Focal length, in percent of that of the rig file.",
+    "width": "Width of the measured images, in pixels.",
+    "pixel": "Size of a pixel, in percent of that of the scene.",
+    "exposure_by": "Exposure by the rule of the scene instead of the one below.",
+    "exposure_ms": "Exposure of each frame, in milliseconds.",
+    "sequence": "Lasers that are on in each frame, as for ringpose capture: off,1,2,3,off or off,all.",
+    "laser": "Whether this laser is on at all.",
+    "tilt": "Turn of a light plane about the camera's x axis through its projector, in degrees.",
+    "shift": "Displacement of a projector with its light plane along the camera's y axis, in millimetres.",
+    "ambient": "Irradiance of even light within the band of the filter, in watts a square metre.",
+    "sun_w": "Irradiance of the sun within the band of the filter, in watts a square metre.",
+    "sun_azimuth": "Direction to the sun: angle from the optical axis towards x, in degrees.",
+    "sun_elevation": "Direction to the sun: angle above the plane of x and z, in degrees.",
+    "earth": "Light of the Earth, beside the target.",
+}
+"""What controls set, by the beginning of their names; the longest that fits."""
+
+
+def hint_of(name: str) -> str:
+    """The tooltip of a control."""
+    return HINTS[max((begin for begin in HINTS if name.startswith(begin)), key=len)]
 
 
 def taken_over(
@@ -127,7 +166,7 @@ def console_controls(scene: Scene, views: Sequence[RingView], width: int) -> dic
     largest_px = max(width, scene.rig.camera.image_width)
     widths = sorted({each for each in (*WIDTHS_PX, width) if each <= largest_px})
     steps = written_sequence(steps_of(first_state(scene, views[0]).masks, len(lasers)))
-    return {
+    controls: dict[str, Control] = {
         "view": Choice(label="view of the scene", options=tuple(v.name for v in views), initial=views[0].name),
         "motion": Choice(label="motion", options=(STILL, *MOTION_PRESETS), initial=STILL),
         "speed": Choice(label="speed", options=(*SPEEDS, IN_STEP), initial="1"),
@@ -138,6 +177,7 @@ def console_controls(scene: Scene, views: Sequence[RingView], width: int) -> dic
         "sequence": LaserSequence(label="sequence", lasers=len(lasers), initial=steps),
         "earth": Switch(label="Earth", initial=scene.lights[views[0].light].earth is not None),
     }
+    return {name: replace(control, hint=hint_of(name)) for name, control in controls.items()}
 
 
 def _numbers(lasers: Sequence[str], views: Sequence[Mapping[str, Value]]) -> dict[str, Number]:

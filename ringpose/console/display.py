@@ -10,9 +10,12 @@ import viser
 from viser import uplot
 
 from ringpose.console.controls import Choice, Control, Number, Switch, Value
+from ringpose.estimate.covariance import standard_deviation
+from ringpose.geometry.rotations import facing_angles
 from ringpose.pose.advice import remarks_on
 from ringpose.report.overlay import pose_texts
 from ringpose.types.pose import PoseLine, RingPose, RingVelocity
+from ringpose.types.truth import Truth
 
 PLOTS = (
     ("error of the centre (mm)", "center_m", 1e3),
@@ -70,13 +73,16 @@ class Field:
 
 def _handle_of(server: viser.ViserServer, control: Control) -> Any:
     gui, label = server.gui, encodable(control.label)
+    hint = control.hint or None
     if isinstance(control, Number):
-        return gui.add_slider(label, control.low, control.high, control.step, control.initial)
+        within = f"{control.low:g} to {control.high:g}"
+        hint = f"{control.hint} Range: {within}." if control.hint else within
+        return gui.add_slider(label, control.low, control.high, control.step, control.initial, hint=hint)
     if isinstance(control, Choice):
-        return gui.add_dropdown(label, control.options, initial_value=control.initial)
+        return gui.add_dropdown(label, control.options, initial_value=control.initial, hint=hint)
     if isinstance(control, Switch):
-        return gui.add_checkbox(label, control.initial)
-    return gui.add_text(label, control.initial)
+        return gui.add_checkbox(label, control.initial, hint=hint)
+    return gui.add_text(label, control.initial, hint=hint)
 
 
 def plain(text: str) -> str:
@@ -103,14 +109,20 @@ class ImagePanel:
 
 
 class Plots:
-    """Errors of measurements with the standard deviations that they report."""
+    """Errors of measurements over a band of one standard deviation that they report."""
 
     def __init__(self, server: viser.ViserServer, x_label: str) -> None:
-        blank = (np.zeros(1), np.zeros(1), np.zeros(1))
+        blank = (np.zeros(1),) * 4
         self._plots = [
             server.gui.add_uplot(
                 blank,
-                (uplot.Series(label=x_label), _points("error", "#1f5fbf"), _points("sigma", "#c0392b")),
+                (
+                    uplot.Series(label=x_label),
+                    _points("error", "#4f8fef"),
+                    uplot.Series(label="sigma", stroke="#d0604f", width=1, points={"show": False}),
+                    uplot.Series(label="", stroke="#d0604f", width=0, points={"show": False}),
+                ),
+                bands=(uplot.Band(series=(2, 3), fill="rgba(208, 96, 79, 0.25)"),),
                 title=title,
                 scales={"x": uplot.Scale(time=False)},
                 aspect=2.0,
@@ -124,7 +136,55 @@ class Plots:
             return
         table, places = np.array(rows), np.array(x, dtype=np.float64)
         for number, plot in enumerate(self._plots):
-            plot.data = (places, table[:, 2 * number], table[:, 2 * number + 1])
+            plot.data = (places, table[:, 2 * number], table[:, 2 * number + 1], np.zeros(len(places)))
+
+
+def csv_of(x_label: str, x: Sequence[float], rows: Sequence[tuple[float, ...]]) -> str:
+    """What the plots show, as CSV; nothing where there is no value."""
+    headings = [f"{part}{title}" for title, *_ in PLOTS for part in ("", "sigma of the ")]
+    values = [
+        [f"{value:.6g}" if np.isfinite(value) else "" for value in (at, *row)] for at, row in zip(x, rows, strict=True)
+    ]
+    return "".join(f"{','.join(row)}\n" for row in ([x_label, *headings], *values))
+
+
+def comparison_html(pose: RingPose | None, truth: Truth) -> str:
+    """Truth, estimate, standard deviation and error of each number of a pose as a table, in mm and degrees."""
+    nan = float("nan")
+    full = None if pose is None else pose.covariance
+    center = None if pose is None else pose.covariance_center_m2
+    tilts = nan if full is None or not np.isfinite(full[:2, :2]).all() else standard_deviation(full[:2, :2])
+    rows: list[tuple[str, float, float, float]] = []
+    for axis, name in enumerate("xyz"):
+        sigma = nan if center is None else float(np.sqrt(center[axis, axis]))
+        true = nan if truth.center_m is None else float(truth.center_m[axis])
+        rows.append(
+            (
+                f"centre {name} (mm)",
+                1e3 * true,
+                1e3 * (nan if pose is None else float(pose.center_m[axis])),
+                1e3 * sigma,
+            )
+        )
+    true_angles = (nan, nan) if truth.normal is None else facing_angles(truth.normal)
+    angles = (nan, nan) if pose is None else (pose.pitch_rad, pose.yaw_rad)
+    for name, true, angle in zip(("pitch", "yaw"), true_angles, angles, strict=True):
+        true_deg, angle_deg, tilt_deg = np.degrees([true, angle, tilts]).tolist()
+        rows.append((f"{name} (deg)", true_deg, angle_deg, tilt_deg))
+    for name, true_m, place in (("inner", truth.radius_inner_m, 5), ("outer", truth.radius_outer_m, 6)):
+        radius_m = nan if pose is None else float(getattr(pose, f"radius_{name}_m"))
+        sigma = nan if full is None else float(np.sqrt(full[place, place]))
+        rows.append((f"{name} radius (mm)", 1e3 * (nan if true_m is None else true_m), 1e3 * radius_m, 1e3 * sigma))
+    cells = [[name, *map(_cell, (true, value, sigma, value - true))] for name, true, value, sigma in rows]
+    lines = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in cells)
+    heads = "".join(f"<th>{head}</th>" for head in ("", "truth", "estimate", "sigma", "error"))
+    style = "width:100%;text-align:right;font-size:0.85em;font-variant-numeric:tabular-nums"
+    return f'<table style="{style}"><tr>{heads}</tr>{lines}</table>'
+
+
+def _cell(value: float) -> str:
+    text = f"{value:.2f}" if np.isfinite(value) else "-"
+    return "0.00" if text == "-0.00" else text
 
 
 def _points(label: str, color: str) -> uplot.Series:

@@ -6,6 +6,7 @@ one file (`ringpose.console.replay`). Lengths are in metres in the camera frame,
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from itertools import product
 from typing import Any, Literal, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy as np
 from ringpose.geometry.ring import predicted_break_points, ring_arcs
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.report.overlay import color_of
+from ringpose.simulate.placement import Placement
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.image import ALL_LASERS
 from ringpose.types.points import PointCloud
@@ -203,9 +205,19 @@ RING_STYLES = {
 }
 
 
-def ring_words(*names: str) -> str:
-    """The colours of rings, in words."""
-    return ", ".join(f"{name} {RING_STYLES[name].word}" for name in names)
+def legend_html(rig: Rig, names: Sequence[str] = tuple(RING_STYLES)) -> str:
+    """What the colours of the scene mean, as HTML."""
+    entries = [(RING_TITLES[name], RING_STYLES[name].color) for name in names]
+    entries += [("grasp point", GRASP_COLOR), (f"centre, {CENTER_SIGMAS:g} sigma", CENTER_COLOR)]
+    entries += [(f"laser {name}", laser_color(laser)) for laser, name in enumerate(rig.lasers.names)]
+    marks = [
+        f'<span style="white-space:nowrap"><b style="color:rgb{color}">&#9632;</b> {escape(text)}</span>'
+        for text, color in entries
+    ]
+    return f'<div style="padding:0 0.6em;font-size:0.85em">{" &ensp; ".join(marks)}</div>'
+
+
+RING_TITLES = {"pose": "estimate", "track": "track", "truth": "truth"}
 
 
 NORMAL_M = 0.15
@@ -331,7 +343,7 @@ MOST = (5.0, 50.0, 95.0)
 
 
 class Bounds(NamedTuple):
-    """A sphere about the camera and rings."""
+    """A sphere about the camera and what it sees."""
 
     target_m: Float64[Array, "xyz=3"]
     """Centre of the first ring."""
@@ -353,6 +365,15 @@ def bounds(shown: Sequence[RingPose | Truth | None], points_m: Float64[Array, "p
     target_m = np.array([0.0, 0.0, 1.0]) if target_m is None else target_m
     low_m, high_m = np.min([*box_m, target_m], axis=0), np.max([*box_m, target_m], axis=0)
     return Bounds(target_m, (low_m + high_m) / 2, float(np.linalg.norm(high_m - low_m)) / 2)
+
+
+def bounds_of_target(surfaces: Sequence["Surface"], placement: Placement) -> Bounds:
+    """The sphere about the camera and a target whose surfaces are in its own frame."""
+    vertices_m = np.concatenate([placement.points_camera(surface.vertices_m) for surface in surfaces])
+    low_m, high_m = np.minimum(vertices_m.min(axis=0), 0.0), np.maximum(vertices_m.max(axis=0), 0.0)
+    middle_m = (low_m + high_m) / 2
+    radius_m = max(float(np.linalg.norm(vertices_m - middle_m, axis=1).max()), float(np.linalg.norm(middle_m)))
+    return Bounds(placement.translation_m, middle_m, radius_m)
 
 
 # The simulated target, in its own frame
@@ -386,6 +407,36 @@ def target_surfaces(scene: Scene) -> tuple[Surface, ...]:
         )
         for number, (color, same) in enumerate(meshes.items())
     )
+
+
+EDGE_SHARE = 0.45
+"""Brightness of an edge over that of its surface."""
+
+MIN_EDGE_RADIUS_M = 0.02
+"""Radius of a circular edge from which it is drawn; smaller ones are dots."""
+
+
+def target_edges(scene: Scene) -> Lines:
+    """The edges of all parts, in the target frame: of boxes all twelve, of bodies of revolution their circles."""
+    from ringpose.simulate.target.parts import body_part, ring_part
+
+    body = () if scene.body is None else (body_part(scene.body),)
+    strokes: list[Path | Circle] = []
+    for part in (*body, *scene.parts, ring_part(scene.ring)):
+        red, green, blue = (round(EDGE_SHARE * each) for each in _color(part))
+        color = red, green, blue
+        if isinstance(part.shape, Box):
+            corners_m = np.array(list(product(*zip(part.shape.low_m, part.shape.high_m, strict=True))))
+            ends = [(a, a | bit) for a in range(8) for bit in (1, 2, 4) if not a & bit]
+            outlines_m = [corners_m[list(pair)] @ part.rotation.T + part.translation_m for pair in ends]
+            strokes += [Path(points_m=points_m, color=color) for points_m in outlines_m]
+            continue
+        for radius_m, height_m in dict.fromkeys(map(tuple, part.shape.profile_m.tolist())):
+            if radius_m >= MIN_EDGE_RADIUS_M:
+                center_m = part.rotation @ np.array([0.0, 0.0, height_m]) + part.translation_m
+                axes_m = radius_m * part.rotation.T[:2]
+                strokes.append(Circle(center_m=center_m, axes_m=axes_m, color=color))
+    return Lines(name="edges", strokes=tuple(strokes), width_px=1.5)
 
 
 def _color(part: Part) -> Color:

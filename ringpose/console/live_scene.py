@@ -15,8 +15,14 @@ from ringpose.types.arrays import Array, Float64
 FRUSTUM_PX = 160
 """Width of the picture in the frustum; without a GPU, that of the panel would take as long as the rest of the scene."""
 
-CHEAP: Any = {"material": "toon3", "cast_shadow": False, "receive_shadow": False}
-"""Material of meshes: without a GPU, viser's usual material takes half as long again for each frame."""
+CHEAP: Any = {"material": "toon5", "cast_shadow": False, "receive_shadow": False}
+"""Material of meshes, in five tones: without a GPU, viser's usual material takes half as long again for each frame."""
+
+VIEW_DIRECTION = (-1.0, -0.8, -1.7)
+"""From the scene to the eye at the start: from behind the camera, on its left and above it."""
+
+VIEW_RADII = 1.75
+"""Distance of the eye from the middle of the scene, in radii of the scene, which then fills the view of 75 degrees."""
 
 BALL_SUBDIVISIONS = 4
 
@@ -31,12 +37,21 @@ FRUSTUM: Any = {"scale": 0.12, "color": (200, 200, 200), "thickness": 2.0, "thic
 class LiveScene:
     """Draws elements in groups; what is drawn of a group is replaced by what is shown next of it."""
 
-    def __init__(self, server: viser.ViserServer, target_m: Float64[Array, "xyz=3"]) -> None:
+    def __init__(self, server: viser.ViserServer, shown: drawing.Bounds) -> None:
         self._server = server
         self._handles: dict[str, Any] = {}
-        distance_m = max(float(np.linalg.norm(target_m)), 0.5)
-        server.initial_camera.position = tuple(np.array([-1.7, -1.1, -1.5]) * distance_m)
-        server.initial_camera.look_at = tuple(0.8 * target_m)
+        distance_m = VIEW_RADII * max(shown.radius_m, 0.1)
+        self._position_m = shown.middle_m + distance_m * np.array(VIEW_DIRECTION) / np.linalg.norm(VIEW_DIRECTION)
+        self._middle_m = shown.middle_m
+        server.initial_camera.position = tuple(self._position_m)
+        server.initial_camera.look_at = tuple(self._middle_m)
+
+    def reset_view(self) -> None:
+        """Show all of the scene in every browser, as at the start."""
+        for client in self._server.get_clients().values():
+            client.camera.position = self._position_m
+            client.camera.look_at = self._middle_m
+            client.camera.up_direction = (0.0, -1.0, 0.0)
 
     def place(self, group: str, rotation: Float64[Array, "3 3"], translation_m: Float64[Array, "xyz=3"]) -> None:
         """Draw a group, which has not been shown before, in a frame with this pose, or move that frame."""

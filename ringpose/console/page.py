@@ -20,7 +20,7 @@ from ringpose.console.engine import ConsolePicture, Engine, Stage
 from ringpose.console.live_scene import LiveScene
 from ringpose.console.playback import IN_STEP, STEP_S, Playback
 from ringpose.console.server import opened_server
-from ringpose.console.state import ConsoleState, Trajectory, first_state
+from ringpose.console.state import ConsoleState, Trajectory, first_state, trajectory_of_views
 from ringpose.errors import DataError, RingposeError
 from ringpose.simulate.placement import ring_views, target_placement
 from ringpose.types.rig import Rig
@@ -40,6 +40,12 @@ PANEL_FIRST_S = 0.05
 
 SHOWN_MEASUREMENTS = 300
 """Measurements in the plots."""
+
+TIME_LABEL = "time since the start (s)"
+"""Of the plots of errors."""
+
+VIEW_S = 2.0
+"""Time from a view of a scene without motion to the next, when they are played."""
 
 MIN_END_S = 0.1
 """End of a trajectory of one pose."""
@@ -81,7 +87,7 @@ class ConsolePage:
         self._lock = threading.RLock()
         self._ended = threading.Event()
         self._rows: deque[tuple[float, ...]] = deque(maxlen=SHOWN_MEASUREMENTS)
-        self._measured = 0
+        self._began_s = time.monotonic()
         self._drawn_since = self._sought = self._failed = -1
         self._playback = Playback()
         self._measurement: ConsolePicture | None = None
@@ -95,9 +101,10 @@ class ConsolePage:
         )
 
     def __enter__(self) -> "ConsolePage":
-        self._view3d = LiveScene(self._server, self._state.center_m)
+        surfaces, placement = drawing.target_surfaces(self._scene), target_placement(self._scene, self._views[0])
+        self._view3d = LiveScene(self._server, drawing.bounds_of_target(surfaces, placement))
         self._view3d.place("target", np.eye(3), self._state.center_m)
-        self._view3d.show("target", drawing.target_surfaces(self._scene))
+        self._view3d.show("target", [*surfaces, drawing.target_edges(self._scene)])
         self._add_gui()
         self._orbit.start()
         self._engine.__enter__()
@@ -131,7 +138,11 @@ class ConsolePage:
         self._problem = gui.add_markdown("")
         self._live = display.ImagePanel(self._server, "camera")
         self._text = gui.add_markdown("waiting for the first measurement")
-        self._playing = gui.add_checkbox("play", False)
+        gui.add_html(drawing.legend_html(self._scene.rig, ("pose", "track")))
+        self._on_click("reset view", self._view3d.reset_view, "Shows all of the scene, as at the start.")
+        self._playing: Any = gui.add_checkbox(
+            "play", False, hint="Lets the time go on, at the speed of the tab Target."
+        )
         tabs = gui.add_tab_group()
         with tabs.add_tab("Target"):
             self._add_target_controls()
@@ -139,10 +150,13 @@ class ConsolePage:
             self._add_rig_controls()
             self._add_light_controls()
         with tabs.add_tab("Measured"):
+            self._comparison = gui.add_html("")
             self._result = display.ImagePanel(self._server, "newest measurement")
             self._details = gui.add_markdown("")
         with tabs.add_tab("Errors"):
-            self._plots = display.Plots(self._server, "number")
+            self._plots = display.Plots(self._server, TIME_LABEL)
+            saving: Any = gui.add_button("errors as CSV", hint="What the plots show, in mm and degrees.")
+            saving.on_click(lambda event: self._guarded(partial(self._send_csv, event.client)))
 
     def _add_target_controls(self) -> None:
         gui = self._server.gui
@@ -155,9 +169,17 @@ class ConsolePage:
             loading: Any = gui.add_upload_button("load trajectory", mime_type="application/json,.jsonl")
             loading.on_upload(lambda _: self._guarded(lambda: self._load_trajectory(loading.value)))
             self._loaded = gui.add_markdown("")
+            if len(self._views) > 1:
+                hint = "From each view of the scene to the next."
+                self._on_click("play the scene's trajectory", self._play_views, hint)
             self._on_click("leave trajectory", lambda: self._follow(None, ""))
-        if self._record is not None:
-            self._recording: Any = gui.add_checkbox("record shots with their truth", False)
+        if self._record is None:
+            gui.add_markdown("*to record shots with their truth, start with --output DIR*")
+        else:
+            self._recording: Any = gui.add_checkbox(
+                "record shots with their truth", False, hint="Each shot that is measured, into the folder of --output."
+            )
+            self._recording.on_update(lambda _: self._guarded(self._measure_to_record))
             self._recorded = gui.add_markdown("")
         if self._save is not None:
             self._saving = self._on_click("save scene and rig", self._save_state)
@@ -185,8 +207,8 @@ class ConsolePage:
             action = actions.get(name, self._change)
             self._fields[name].on_update(partial(self._guarded, partial(self._take_over, action)))
 
-    def _on_click(self, label: str, action: Callable[[], None]) -> Any:
-        button = self._server.gui.add_button(label)
+    def _on_click(self, label: str, action: Callable[[], None], hint: str | None = None) -> Any:
+        button = self._server.gui.add_button(label, hint=hint)
         button.on_click(lambda _: self._guarded(action))
         return button
 
@@ -264,6 +286,23 @@ class ConsolePage:
             self._controls["time_s"] = self._fields["time_s"].extended_to(end_s)
             self._loaded.content = display.plain(text)
             self._change(0.0)
+
+    def _play_views(self) -> None:
+        """Play the motion from each view of the scene to the next."""
+        period_s = self._scene.period_s if self._scene.motion is not None else VIEW_S
+        self._follow(trajectory_of_views(self._views, period_s), f"{len(self._views)} views of the scene")
+        self._playing.value = True
+
+    def _measure_to_record(self) -> None:
+        """Measure the present state, so that the first recorded shot is what is shown."""
+        if self._recording.value:
+            self._change(measure_now=True)
+
+    def _send_csv(self, client: Any) -> None:
+        """Send what the plots show to the browser that asks for it."""
+        rows = list(self._rows)
+        text = display.csv_of(TIME_LABEL, [row[0] for row in rows], [row[1:] for row in rows])
+        client.send_file_download("errors.csv", text.encode())
 
     def _pick_rig(self, uploaded: Any) -> None:
         """Take over camera and lasers of a rig file."""
@@ -423,14 +462,12 @@ class ConsolePage:
         line, errors, track = picture.line, picture.errors or {}, picture.track
         assert line is not None
         self._result.show(jpeg, f"newest measurement: {stamp}")
+        self._comparison.content = display.comparison_html(line.pose, picture.truth)
         self._show_text()
         if track is not None:
             status = f"{track.validity}, {track.fusion_status}"
             text = display.track_text(track.pose, track.velocity, status, picture.track_error_m)
-            self._details.content = (
-                f"{text}  \nrings: {drawing.ring_words('pose', 'track')}, pale if outdated; the target shows the truth"
-            )
-        self._measured += 1
-        self._rows.append((float(self._measured), *display.plotted(line.pose, errors)))
+            self._details.content = f"{text}  \nrings are pale if outdated; the target shows the truth"
+        self._rows.append((time.monotonic() - self._began_s, *display.plotted(line.pose, errors)))
         rows = list(self._rows)
         self._plots.show([row[0] for row in rows], [row[1:] for row in rows])

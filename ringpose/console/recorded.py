@@ -6,15 +6,7 @@ from typing import Any
 
 from ringpose.console.controls import Choice, Control, Number, Value, taken_over
 from ringpose.console.display import Field, ImagePanel, Plots, line_text, plotted, track_text
-from ringpose.console.drawing import (
-    NOTHING,
-    RING_STYLES,
-    bounds,
-    cloud_points,
-    recorded_elements,
-    rig_elements,
-    ring_words,
-)
+from ringpose.console.drawing import NOTHING, bounds, cloud_points, legend_html, recorded_elements, rig_elements
 from ringpose.console.live_scene import LiveScene
 from ringpose.console.replay import ReplayCloud, ReplayShot, times_s
 from ringpose.console.server import opened_server
@@ -50,11 +42,13 @@ class RecordedPage:
         poses = [None if shot.line is None else pose_in_camera_frame(shot.line, self._rig) for shot in shots]
         self._poses = poses
         points_m = NOTHING if self._cloud is None else self._cloud.points_m(shots)
-        target_m = bounds([*poses, *(shot.truth for shot in shots)], points_m).target_m
-        self._view3d = LiveScene(self._server, target_m)
-        self._view3d.show("rig", rig_elements(self._rig, ALL_LASERS, target_m))
+        shown = bounds([*poses, *(shot.truth for shot in shots)], points_m)
+        self._view3d = LiveScene(self._server, shown)
+        self._view3d.show("rig", rig_elements(self._rig, ALL_LASERS, shown.target_m))
         self._picture = ImagePanel(self._server, "shot")
         self._text = gui.add_markdown("")
+        gui.add_html(legend_html(self._rig))
+        gui.add_button("reset view").on_click(lambda _: self._view3d.reset_view())
         self._playing: Any = gui.add_checkbox("play", False)
         with gui.add_folder("Time"):
             self._fields = {name: Field(self._server, control) for name, control in self._controls.items()}
@@ -132,7 +126,7 @@ class RecordedPage:
             text = line_text(shot.line, about, shot.errors)
             if track is not None:
                 text += "  \n" + track_text(track.pose, track.velocity, track.reason or "")
-            self._text.content = f"{text}  \nrings: {ring_words(*RING_STYLES)}"
+            self._text.content = text
 
     def _show_cloud(self, shot: ReplayShot) -> None:
         """The cloud where it is at the time of a shot; all of it, or the points of the shot."""

@@ -36,6 +36,9 @@ LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 PANEL_PX = (400, 600, 900)
 """Widths of the panel; the first leaves more than half of a page of 1024 px to the scene. The pictures grow with it."""
 
+TEXT_STYLE = "<style>html { font-size: clamp(14px, 0.9vw, 26px); }</style>"
+"""Texts and controls grow with the window, from 1800 px on."""
+
 BELOW_ALL = 1e9
 """Order of a control below those that are added later."""
 
@@ -62,9 +65,11 @@ def opened_server(host: str, port: int | None) -> viser.ViserServer:
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(PANEL_PX[0])
     server.gui.set_panel_label("ringpose")
+    server.gui.add_html(TEXT_STYLE, order=BELOW_ALL)
     widths = {f"{each}": each for each in PANEL_PX}
     width: Any = server.gui.add_dropdown("panel width (px)", list(widths), order=BELOW_ALL)
     width.on_update(lambda _: server.gui.main_panel.set_width(widths.get(width.value, PANEL_PX[0])))
+    _widen_in_wide_windows(server, width)
     server.scene.set_up_direction("-y")
     # viser's lights, shadows and reflections take five times as long for each frame without a GPU
     server.scene.configure_default_lights(enabled=False)
@@ -95,6 +100,25 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         rich.get_console().quiet = False
+
+
+WIDE_PX = 1800
+"""Width of the scene from which the first browser gets the second width of the panel, as its texts are larger."""
+
+
+def _widen_in_wide_windows(server: viser.ViserServer, width: Any) -> None:
+    seen: list[int] = []
+
+    def widen(camera: Any) -> None:
+        if not seen and camera.image_width > WIDE_PX and width.value == f"{PANEL_PX[0]}":
+            width.value = f"{PANEL_PX[1]}"
+            server.gui.main_panel.set_width(PANEL_PX[1])
+        seen.append(camera.image_width)
+
+    def connected(client: viser.ClientHandle) -> None:
+        client.camera.on_update(widen)
+
+    server.on_client_connect(connected)
 
 
 @contextmanager

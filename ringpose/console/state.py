@@ -1,11 +1,12 @@
 """What the controls of the console set, and the scene that follows from it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ringpose.geometry.ring import rotation_by
-from ringpose.geometry.rotations import facing_normal
+from ringpose.geometry.rotations import facing_angles, facing_normal
 from ringpose.simulate.placement import ring_rotation
 from ringpose.simulate.serve.preview import preview
 from ringpose.types.arrays import Array, Float64
@@ -31,6 +32,15 @@ class Trajectory:
             np.array([np.interp(time_s, self.time_s, part) for part in rows.T]) for rows in (self.center_m, self.normal)
         )
         return center_m, normal / np.linalg.norm(normal)
+
+
+def trajectory_of_views(views: Sequence[RingView], period_s: float) -> Trajectory:
+    """The motion from each view of a scene to the next, of which each takes a period; moving ones where they begin."""
+    return Trajectory(
+        time_s=period_s * np.arange(len(views)),
+        center_m=np.stack([view.center_m for view in views]),
+        normal=np.stack([view.normal for view in views]),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -184,11 +194,11 @@ class StatePath:
 def first_state(scene: Scene, view: RingView) -> ConsoleState:
     """The state that shows a view of the scene."""
     light, lasers = scene.lights[view.light], len(scene.rig.lasers.names)
-    x, y, z = (-view.normal).tolist()
+    pitch_rad, yaw_rad = facing_angles(view.normal)
     return ConsoleState(
         center_m=view.center_m,
-        pitch_rad=float(np.arcsin(np.clip(y, -1.0, 1.0))),
-        yaw_rad=float(np.arctan2(x, z)),
+        pitch_rad=pitch_rad,
+        yaw_rad=yaw_rad,
         roll_rad=view.roll_rad,
         rig_change=RigChange(laser_tilt_rad=(0.0,) * lasers, laser_shift_m=(0.0,) * lasers),
         masks=tuple(mask & ((1 << lasers) - 1) for mask in scene.sequence),

@@ -64,6 +64,12 @@ def facing_normal(pitch_rad: float, yaw_rad: float) -> Float64[Array, "3"]:
     return -np.array(away, dtype=np.float64)
 
 
+def facing_angles(normal: Float64[Array, "3"]) -> tuple[float, float]:
+    """The paper's pitch and yaw of a normal, the inverse of `facing_normal`."""
+    x, y, z = (-normal).tolist()
+    return float(np.arcsin(np.clip(y, -1.0, 1.0))), float(np.arctan2(x, z))
+
+
 def rotation_vector(rotation: Float64[Array, "3 3"]) -> Float64[Array, "3"]:
     """Axis times angle. OpenCV's is zero below 10 microradians, where the pose of a board facing it would stall."""
     sine = rotation_sine(rotation)

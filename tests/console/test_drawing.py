@@ -1,14 +1,31 @@
 """The elements of the scene lie where rig and ring are."""
 
 from dataclasses import replace
+from pathlib import Path as FilePath
 
 import numpy as np
 import pytest
 from known_poses import pose_of
 from ring_scenes import PROJECTED, make_camera
 
-from ringpose.console.drawing import PALE, Ball, Ellipsoid, bounds, recorded_elements, rig_elements, rings, stripes
+from ringpose.console.drawing import (
+    PALE,
+    Ball,
+    Circle,
+    Ellipsoid,
+    Path,
+    bounds,
+    bounds_of_target,
+    recorded_elements,
+    rig_elements,
+    rings,
+    stripes,
+    target_edges,
+    target_surfaces,
+)
+from ringpose.files.scenes.scene import read_scene
 from ringpose.geometry.rays import project
+from ringpose.simulate.placement import ring_views, target_placement
 from ringpose.types.rig import Rig
 from ringpose.types.truth import Truth
 
@@ -80,3 +97,36 @@ def test_bounds_include_camera_and_rings():
     np.testing.assert_array_equal(target_m, RING.center_m)
     assert np.linalg.norm(middle_m) < radius_m
     assert np.linalg.norm(RING.center_m - middle_m) + RING.radius_outer_m < radius_m
+
+
+def test_the_whole_target_and_the_camera_are_in_the_bounds(example_target):
+    scene, placement = example_target
+    surfaces = target_surfaces(scene)
+
+    about = bounds_of_target(surfaces, placement)
+
+    vertices_m = np.concatenate([placement.points_camera(each.vertices_m) for each in surfaces])
+    for point_m in (*vertices_m, np.zeros(3)):
+        assert np.linalg.norm(point_m - about.middle_m) <= about.radius_m + 1e-9
+    assert about.radius_m < np.linalg.norm(np.ptp(vertices_m, axis=0))
+
+
+def test_edges_of_a_target_lie_on_its_surfaces(example_target):
+    scene, _ = example_target
+    vertices_m = np.concatenate([each.vertices_m for each in target_surfaces(scene)])
+
+    strokes = target_edges(scene).strokes
+
+    ends_m = np.concatenate([stroke.points_m for stroke in strokes if isinstance(stroke, Path)])
+    circles = [stroke for stroke in strokes if isinstance(stroke, Circle)]
+    on_circles_m = np.array([circle.center_m + circle.axes_m[0] for circle in circles])
+    assert len(ends_m) >= 24
+    assert len(circles) >= 4
+    for point_m in (*ends_m, *on_circles_m):
+        assert np.linalg.norm(vertices_m - point_m, axis=1).min() < 1e-9
+
+
+@pytest.fixture(scope="module")
+def example_target():
+    scene = read_scene(FilePath(__file__).parents[2] / "examples" / "scene.yaml")
+    return scene, target_placement(scene, ring_views(scene)[0])

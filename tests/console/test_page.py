@@ -1,5 +1,6 @@
 """The page of the console over its socket: what is refused, and that it goes on after an exception."""
 
+import re
 from contextlib import contextmanager
 
 import pytest
@@ -16,13 +17,13 @@ from ringpose.errors import InputOutputError
 from ringpose.files.rigs import rig_in
 
 
+def no_space(_):
+    raise InputOutputError("shots", "no space left on device")
+
+
 @contextmanager
-def connected_client(folder):
+def connected_client(folder, record=no_space):
     """A client that has seen the first measurement of a small scene's page; recording fails as on a full disk."""
-
-    def record(_):
-        raise InputOutputError("shots", "no space left on device")
-
     with (
         ConsolePage(small_scene(folder), "127.0.0.1", None, 160, trajectory_in, rig_in, record) as page,
         PageClient(page.port) as connected,
@@ -104,3 +105,40 @@ def test_recording_that_fails_is_switched_off_with_its_reason(client):
 
     assert client.elements[client.of("record shots with their truth")]["value"] is False
     assert "no space left on device" in client.texts
+
+
+def test_what_is_shown_is_recorded_as_soon_as_recording_is_switched_on(tmp_path):
+    recorded = []
+    with connected_client(tmp_path, lambda picture: recorded.append(picture.shot.name)) as client:
+        assert recorded == []
+        client.set("record shots with their truth", value=True)
+
+        client.wait_for(lambda: "recorded console&#95;" in client.texts)
+
+    assert len(recorded) == 1
+
+
+def test_truth_estimate_and_sigma_are_a_table(steady_client):
+    client = steady_client
+    client.wait_for(lambda: "<td>centre x (mm)</td>" in client.html)
+
+    rows = dict(re.findall(r"<tr><td>([^<]+)</td>(.*?)</tr>", client.html))
+    assert list(rows) == [
+        *(f"centre {axis} (mm)" for axis in "xyz"), "pitch (deg)", "yaw (deg)", "inner radius (mm)", "outer radius (mm)"
+    ]  # fmt: skip
+
+
+def test_the_legend_names_rings_and_lasers(steady_client):
+    client = steady_client
+    client.wait_for(lambda: "&#9632;" in client.html)
+
+    assert all(f"</b> {word}" in client.html for word in ("estimate", "track", "grasp point", "laser left"))
+
+
+def test_each_control_has_a_tooltip_with_its_unit(steady_client):
+    hints = {each["label"]: each["hint"] for each in steady_client.elements.values() if each.get("hint")}
+
+    assert "in metres. Range: -1.5 to 1.5." in hints["centre x (m)"]
+    assert "degrees a second" in hints["tumble (deg/s)"]
+    assert "watts a square metre" in hints["sun (W/m2)"]
+    assert {"view of the scene", "motion", "speed", "sequence", "laser left", "play", "reset view"} <= hints.keys()

@@ -13,7 +13,7 @@ from served_scene import small_scene
 
 from ringpose.cli.simulate.console import trajectory_in
 from ringpose.console.engine import Engine
-from ringpose.console.state import Trajectory, first_state
+from ringpose.console.state import Trajectory, first_state, trajectory_of_views
 from ringpose.errors import DataError
 from ringpose.files.scenes.copies import write_scene_copy
 from ringpose.files.scenes.scene import read_scene
@@ -420,3 +420,16 @@ def test_any_position_of_the_controls_gives_a_picture(scene, state, rng):
         picture = engine.measured(extreme)
         assert picture.image.shape == (90, 120, 3)
         assert picture.line.pose is not None or picture.line.reason
+
+
+def test_the_views_of_a_scene_are_a_trajectory(scene):
+    views = ring_views(scene)
+    forward = np.array([0.0, 0.0, 0.1])
+    views = [replace(views[0], center_m=views[0].center_m + number * forward) for number in range(3)]
+
+    trajectory = trajectory_of_views(views, 2.0)
+
+    assert trajectory.time_s.tolist() == [0.0, 2.0, 4.0]
+    center_m, normal = trajectory.at(3.0)
+    np.testing.assert_allclose(center_m, views[0].center_m + 1.5 * forward, atol=1e-12)
+    np.testing.assert_allclose(normal, views[0].normal, atol=1e-12)
