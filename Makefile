@@ -6,6 +6,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 LOWEST := .venv-lowest
 PORTABLE := build/portable
+WHEEL := build/wheel
 IN_PARALLEL := -n auto --dist worksteal $(PYTEST_FLAGS)
 PYTEST := $(BIN)/python -m pytest $(IN_PARALLEL)
 # Checks of shapes take a sixth of the tests' time. One run of the numeric tests, the slow tests and plain pytest have them.
@@ -18,7 +19,7 @@ KERNELS := $(wildcard ringpose/kernels/*.[ch] ringpose/kernels/*/*.[ch])
 UNSUPPORTED = $(shell python=$(BIN)/python; test -x $$python || python='$(PYTHON)'; \
   $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>&- || \
   echo "$$python is $$($$python -V 2>&- || echo missing)")
-REQUIRE_PYTHON = $(if $(UNSUPPORTED),$(error $(UNSUPPORTED), ringpose needs 3.11 or later: \
+REQUIRE_PYTHON = $(if $(UNSUPPORTED),$(error $(UNSUPPORTED), ringpose needs 3.11 or later (sys.exception): \
   give another one, make PYTHON=..., after make clean if it is that of $(VENV)))
 
 # Modules that are instrumented or rewritten for the tests are kept from run to run: half of the time to collect them.
@@ -30,7 +31,7 @@ test test-slow test-baseline-cpu test-other-cpu: export MALLOC_MMAP_THRESHOLD_ =
 test test-slow test-baseline-cpu test-other-cpu: export MALLOC_TRIM_THRESHOLD_ = 536870912
 
 .PHONY: help demo bench-speed bench-targets compare-baseline baseline golden mutants man-tables results structure test test-slow test-lowest \
-  test-baseline-cpu test-other-cpu check lint types layers man clean
+  test-baseline-cpu test-other-cpu wheel check lint types layers man clean
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
@@ -46,6 +47,7 @@ help:
 	@echo "make test-lowest  the main job and all file formats with the lowest versions that pyproject.toml admits"
 	@echo "make test-baseline-cpu  the numeric fast tests as on a processor without AVX, also in the kernels (x86-64)"
 	@echo "make test-other-cpu     the same as on one with another vector unit than this machine's"
+	@echo "make wheel        the wheel of this machine in dist/, and the fast tests of kernels and Python API with it"
 	@echo "make structure    modules and lines by folder; modules that one shot and one calibration pass through"
 	@echo "make manual       the manual as HTML pages in build/manual, index.html first"
 	@echo "make check        lint, types, layers, man pages"
@@ -125,6 +127,21 @@ $(PORTABLE)/.installed: $(STAMP) $(shell find ringpose -name '*.py') $(KERNELS)
 	  --target $(PORTABLE)/packages $(PORTABLE)/source
 	! grep -q '[.]avx2' $(PORTABLE)/packages/ringpose/kernels/*.so
 	touch $@
+
+# As a user gets it: built from a copy, installed beside the packages of $(VENV), and imported from there.
+wheel: $(STAMP)
+	rm -rf $(WHEEL) dist
+	mkdir -p $(WHEEL)/source
+	cp -r ringpose man pyproject.toml README.md LICENSE $(WHEEL)/source
+	rm -f $(WHEEL)/source/ringpose/kernels/*.so
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist $(WHEEL)/source
+	test -f dist/ringpose-*-cp311-abi3-linux_$$(uname -m).whl
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --target $(WHEEL)/packages dist/*.whl
+	for file in ringpose/py.typed ringpose/files/rings.yaml ringpose/console/replay.html share/man/man1/ringpose-pose.1; do \
+	  test -f $(WHEEL)/packages/$$file || exit 1; done
+	export PYTHONSAFEPATH=1 PYTHONPATH=$(CURDIR)/$(WHEEL)/packages; \
+	$(BIN)/python -c 'import ringpose; assert "$(WHEEL)" in ringpose.__file__, ringpose.__file__' && \
+	$(PYTEST) $(UNCHECKED) -m "not slow" tests/kernels tests/test_api.py
 
 test-baseline-cpu: $(PORTABLE)/.installed
 	PYTHONSAFEPATH=1 PYTHONPATH=$(CURDIR)/$(PORTABLE)/packages \
