@@ -17,6 +17,7 @@ from ringpose.files.records import plain
 from ringpose.files.records.codec import OF_FILE, RecordType, definition_of
 from ringpose.files.schema import RIG, ROUNDED, Fields, kind_of
 from ringpose.files.yaml import parsed, write_yaml
+from ringpose.geometry.least_squares import square_root
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY, RigStability
 from ringpose.types.options import PoseFrame
@@ -115,6 +116,15 @@ class MountEntry:
         float,
         Key("The same of its position along each axis.", plausible=ROBOT_SD_M, presence=Presence.IF_KNOWN),
     ] = 0.0
+    pose_covariance: Annotated[
+        Float64[Array, "6 6"] | None,
+        Key(
+            "Covariance of the camera's pose in the frame that needs the robot's poses, by mount and robot together, "
+            "along the axes of the tool; instead of the two before.",
+            form=Form.COVARIANCE,
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -320,6 +330,7 @@ def _mount_entry(mount: Mount) -> MountEntry:
         delay_sd_s=mount.delay_sd_s,
         robot_rotation_sd_rad=mount.robot_rotation_sd_rad,
         robot_translation_sd_m=mount.robot_translation_sd_m,
+        pose_covariance=None if mount.pose_root is None else mount.pose_root @ mount.pose_root.T,
     )
 
 
@@ -361,13 +372,16 @@ def _mount(fields: Fields, entry: MountEntry) -> Mount:
         raise fields.problem(key, "its upper left 3 x 3 matrix is not a rotation")
     fields.check(key, matrix[:3, 3], MOUNT_M)
     left, _, right = np.linalg.svd(rotation)
-    variance, axes = np.linalg.eigh(np.zeros((6, 6)) if entry.covariance is None else entry.covariance)
+    if entry.pose_covariance is not None and max(entry.robot_rotation_sd_rad, entry.robot_translation_sd_m) > 0.0:
+        finding = "contains the robot's error, which robot_rotation_sd_rad and robot_translation_sd_m state, too"
+        raise fields.problem("pose_covariance", finding, "leave one of them out")
     return Mount(
         carrier_from_camera=np.block([[left @ right, matrix[:3, 3:]], [matrix[3:]]]),
         carrier=PoseFrame.TOOL if is_on_tool else PoseFrame.BASE,
-        root=axes * np.sqrt(np.maximum(variance, 0.0)),
+        root=np.zeros((6, 6)) if entry.covariance is None else square_root(entry.covariance),
         delay_s=entry.delay_s,
         delay_sd_s=entry.delay_sd_s,
         robot_rotation_sd_rad=entry.robot_rotation_sd_rad,
         robot_translation_sd_m=entry.robot_translation_sd_m,
+        pose_root=None if entry.pose_covariance is None else square_root(entry.pose_covariance),
     )

@@ -34,7 +34,8 @@ class CameraState(NamedTuple):
     displacement_root: Float64[Array, "6 error"]
     """What independent errors of unit variance move the camera by: rotation vector (rad), translation (m).
 
-    The first are those of `MOUNT_PARAMETERS`; those of the robot's poses follow.
+    The first are those of `MOUNT_PARAMETERS`, zero but for the delay if the mount has a `pose_root`, whose errors
+    follow; else those of the robot's poses do.
     """
 
     @property
@@ -92,11 +93,11 @@ class CameraMotion:
         lever_m = tool.rotation @ in_carrier[:3, 3]
         velocity = tool.velocity_m_s + np.cross(tool.rate_rad_s, lever_m)
         turn = _block(tool.rotation)
-        root = np.column_stack([
-            turn @ mount.root,
-            mount.delay_sd_s * np.append(tool.rate_rad_s, velocity),
-            _seen_from(lever_m) @ turn * _robot_sds(mount),
-        ])  # fmt: skip
+        by_delay = mount.delay_sd_s * np.append(tool.rate_rad_s, velocity)
+        by_mount, by_robot = turn @ mount.root, _seen_from(lever_m) @ turn * _robot_sds(mount)
+        if mount.pose_root is not None:
+            by_mount, by_robot = np.zeros((6, 6)), turn @ mount.pose_root
+        root = np.column_stack([by_mount, by_delay, by_robot])
         return CameraState(
             rotation=tool.rotation @ in_carrier[:3, :3],
             origin_m=tool.position_m + lever_m,
@@ -126,12 +127,11 @@ class CameraMotion:
         matrix[:3, :3], matrix[:3, 3] = back @ base_from_camera[:3, :3], back @ lever_m
         # a tool that is elsewhere moves a camera at rest the other way
         velocity = tool.velocity_m_s + np.cross(tool.rate_rad_s, lever_m)
-        root = np.column_stack([
-            turn @ self.mount.root,
-            -self.mount.delay_sd_s * (turn @ np.append(tool.rate_rad_s, velocity)),
-            -_seen_from(matrix[:3, 3]) * _robot_sds(self.mount),
-        ])  # fmt: skip
-        return matrix, root
+        by_delay = -self.mount.delay_sd_s * (turn @ np.append(tool.rate_rad_s, velocity))
+        if self.mount.pose_root is not None:
+            return matrix, np.column_stack([by_delay, self.mount.pose_root])
+        by_robot = -_seen_from(matrix[:3, 3]) * _robot_sds(self.mount)
+        return matrix, np.column_stack([turn @ self.mount.root, by_delay, by_robot])
 
     def tool_at(self, stamp_s: float) -> ToolStates | None:
         """The tool at a stamp of the camera's clock; None if the robot's poses do not cover it."""

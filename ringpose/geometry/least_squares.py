@@ -206,3 +206,10 @@ def covariance_of_free(
     size = np.maximum(size, MIN_SHARE * size.max(initial=0.0))
     covariance[np.ix_(index, index)] = (axes / size @ axes.T) / np.outer(scale, scale)
     return covariance
+
+
+def square_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n n"]:
+    """R of a covariance R R^T, which may be singular."""
+    variance, axes = np.linalg.eigh(covariance)
+    root: Float64[Array, "n n"] = axes * np.sqrt(np.maximum(variance, 0.0))
+    return root

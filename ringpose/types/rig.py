@@ -145,6 +145,9 @@ class Mount:
     """Standard deviation of the robot's orientations about each axis, where its poses are used ..."""
     robot_translation_sd_m: float = 0.0
     """... and of their positions along each axis, in the tool frame."""
+    pose_root: Float64[Array, "6 6"] | None = None
+    """R of the covariance R R^T of the camera's pose in the frame that needs the robot's poses, if it is known:
+    rotation vector and translation along the axes of the tool, by errors of mount and robot, which partly cancel."""
     delay_s: float = 0.0
     """The robot's stamp that belongs to the camera's stamp t is t + delay_s ..."""
     delay_sd_s: float = 0.0

@@ -92,6 +92,7 @@ RIG = RigFile(
         delay_sd_s=0.01,
         robot_rotation_sd_rad=1e-4,
         robot_translation_sd_m=1e-4,
+        pose_covariance=np.eye(6),
     ),
 )
 GRID = Grid(cell_m=(0.1, 0.2), line_m=0.01, diffuse=0.1, specular=0.2, roughness=0.3)

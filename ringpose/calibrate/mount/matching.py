@@ -27,6 +27,9 @@ def matched_poses(
 ) -> list[ReportedPose | DataError]:
     """The pose of each view, or why it has none: by the names, else by the stamps, else by their order."""
     if any(pose.name for pose in poses):
+        unnamed = next((pose for pose in poses if not pose.name), None)
+        if unnamed is not None:
+            raise DataError(unnamed.location, "names no shot, as other poses do", "give all poses a shot, or none")
         return _by_name(names, poses)
     if all(pose.stamp_s is not None for pose in poses):
         poses = sorted(poses, key=lambda pose: pose.stamp_s or 0.0)

@@ -15,7 +15,6 @@ from ringpose.calibrate.mount.adjustment import (
     ROTATION_BOUNDS_RAD,
     TRANSLATION_BOUNDS_M,
     MountSolution,
-    RobotSigmas,
     adjusted_mount,
 )
 from ringpose.calibrate.mount.causes import CONTRADICTION_RAD, likely_cause, other_rotations, rotation_error_rad
@@ -29,11 +28,11 @@ from ringpose.calibrate.mount.validation import (
     LeftOut,
     board_scale,
     left_out,
-    student_factor,
     validated_covariance,
     wrong_views,
 )
 from ringpose.errors import DataError
+from ringpose.geometry.least_squares import square_root
 from ringpose.geometry.robot_conventions import PoseConvention
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
@@ -49,6 +48,21 @@ MAX_WRONG_SHARE = 1 / 3
 MAX_SCALE = 1.1
 """Factor between the robot's and the board's lengths from which one of them has another unit or a wrong size."""
 
+OTHER_UNITS = (
+    (1e3, "the robot's positions are in millimetres"),
+    (1e2, "the robot's positions are in centimetres and are read as metres"),
+    (1e1, "the robot's positions are in millimetres and are read as centimetres"),
+    (1 / 0.0254, "the robot's positions are in inches and are read as metres"),
+    (1 / 0.3048, "the robot's positions are in feet and are read as metres"),
+    (1 / 25.4, "the robot's positions are in inches and are read as millimetres"),
+    (1e-1, "the robot's positions are in centimetres and are read as millimetres"),
+    (1e-3, "the robot's positions are in metres and are read as millimetres"),
+)
+"""Factors between the robot's and the board's lengths, and the mistakes that they are of."""
+
+MIN_TURN_SHARE = 0.1
+"""Share of the board's largest rotation by which the robot's poses turn at least, where they are not frozen."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MountCalibration:
@@ -61,6 +75,8 @@ class MountCalibration:
     solution: MountSolution
     covariance: Float64[Array, "common common"]
     """Of mount and board (rotation vector, translation, each in its frame), and of the delay if the robot moved."""
+    pose_covariance: Float64[Array, "6 6"]
+    """Of the camera at another pose of the robot, by the errors of mount and robot (`camera_errors`)."""
     systematic: SystematicError
     """The part of the robot's error that depends on its pose, and how probable it is."""
     disagreement: tuple[float, float]
@@ -82,22 +98,13 @@ class MountCalibration:
         return len(self.stations) < MIN_FREE_VIEWS
 
     @property
-    def robot_error(self) -> RobotSigmas:
-        """Standard deviations of a pose of the robot, widened by the uncertainty of their estimate."""
-        share, widening = self.systematic.probability, student_factor(len(self.stations))
-        pairs = zip(self.solution.sigmas, self.systematic.robot, strict=True)
-        return RobotSigmas(*(sqrt((1 - share) * widening * one**2 + share * other**2) for one, other in pairs))
-
-    @property
     def mount(self) -> Mount:
         """The mount as the rig has it."""
-        variance, axes = np.linalg.eigh(self.covariance[:6, :6])
         return Mount(
             carrier_from_camera=self.solution.state.mount.matrix,
             carrier=PoseFrame.BASE if self.eye_to_hand else PoseFrame.TOOL,
-            root=axes * np.sqrt(np.maximum(variance, 0.0)),
-            robot_rotation_sd_rad=self.robot_error.rotation_rad,
-            robot_translation_sd_m=self.robot_error.translation_m,
+            root=square_root(self.covariance[:6, :6]),
+            pose_root=square_root(self.pose_covariance),
             delay_s=self.solution.state.delay_s,
             delay_sd_s=hypot(self.delay_sd_s, self.solution.stamp_sd_s),
         )
@@ -223,8 +230,9 @@ def calibrate_mount(
     _check_fit(solution)
     without = left_out(solution, chosen)
     fixed = None if refine_camera or camera.covariance is None else camera.covariance.data
-    systematic = systematic_error(solution, chosen)
-    covariance, factors = validated_covariance(solution, without, fixed, systematic)
+    systematic = systematic_error(solution, chosen, eye_to_hand)
+    validated = validated_covariance(solution, chosen, without, fixed, systematic, eye_to_hand)
+    covariance = validated.covariance
     if delay is not None:
         covariance = covariance + delayed_covariance(solution, chosen, delay.sd_s)
     return MountCalibration(
@@ -232,8 +240,9 @@ def calibrate_mount(
         rejected=rejected,
         solution=solution,
         covariance=covariance,
+        pose_covariance=validated.pose_covariance,
         systematic=systematic,
-        disagreement=factors,
+        disagreement=validated.disagreement,
         without=_where_determined(without, stations, boards, used, eye_to_hand),
         turns=_turns(stations, boards, used, eye_to_hand),
         board_scale=board_scale(solution),
@@ -275,6 +284,13 @@ def _check_motions(
 ) -> None:
     """Raise DataError if the views determine no mount, or if another unit or convention explains them much better."""
     turns = _check_turns(_turns(stations, boards, range(len(stations)), eye_to_hand), len(stations), eye_to_hand)
+    turned, seen = (float(np.linalg.norm(each, axis=1).max()) for each in turns)
+    if turned < MIN_TURN_SHARE * seen:
+        finding = (
+            f"the robot's poses are turned against each other by at most {np.degrees(turned):.2g} degrees, the board "
+            f"in the images by {np.degrees(seen):.2g}"
+        )
+        raise DataError("calibrate-mount", finding, "likely the same pose was written for each view: read it anew")
     transforms = [_transform(pose) for pose in boards]
     error_rad = rotation_error_rad(turns)
     if error_rad > CONTRADICTION_RAD:
@@ -284,17 +300,11 @@ def _check_motions(
             raise DataError("calibrate-mount", finding, f"likely {cause}")
     robot = [moving_from_fixed(station.base_from_tool, eye_to_hand) for station in stations]
     _, _, scale = closed_form.closed_form_mount(robot, transforms, turns)
-    for factor, words in (
-        (1e-3, "the robot's positions are in millimetres, or the board's sizes"),
-        (1e3, "the robot's positions are in metres and are read as millimetres, or the board's sizes"),
-    ):
-        if MAX_SCALE > scale / factor > 1 / MAX_SCALE:
+    for factor, words in OTHER_UNITS:
+        if MAX_SCALE > scale * factor > 1 / MAX_SCALE:
             finding = f"the robot's lengths are {1 / scale:.4g} times those of the board"
-            raise DataError(
-                "calibrate-mount",
-                finding,
-                f"likely {words} are 1000 times {'too large' if factor > 1 else 'too small'}",
-            )
+            wrong = f"{1 / factor:.4g} times too large" if factor < 1.0 else f"{factor:.4g} times too small"
+            raise DataError("calibrate-mount", finding, f"likely {words}, or the board's sizes are {wrong}")
 
 
 def _check_turns(turns: closed_form.Turns, views: int, eye_to_hand: bool) -> closed_form.Turns:
@@ -323,14 +333,13 @@ def _check_turns(turns: closed_form.Turns, views: int, eye_to_hand: bool) -> clo
 
 def _check_fit(solution: MountSolution) -> None:
     """Raise DataError if the robot's error is at the bound of its estimate, as no robot's is."""
-    sigmas = solution.sigmas
-    if (
-        sigmas.rotation_rad > AT_BOUND * ROTATION_BOUNDS_RAD[1]
-        or sigmas.translation_m > AT_BOUND * TRANSLATION_BOUNDS_M[1]
-    ):
+    sigmas, bounds = solution.sigmas, (ROTATION_BOUNDS_RAD[1], TRANSLATION_BOUNDS_M[1])
+    at_bound = [value > AT_BOUND * bound for value, bound in zip(sigmas, bounds, strict=True)]
+    if any(at_bound):
+        turn, shift = (" or more" if reached else "" for reached in at_bound)
         finding = (
-            f"the robot's poses do not fit the views: its error would be {1e3 * sigmas.translation_m:.3g} mm and "
-            f"{np.degrees(sigmas.rotation_rad):.3g} degrees"
+            f"the robot's poses do not fit the views: its error would be {1e3 * sigmas.translation_m:.3g} mm{shift} "
+            f"and {np.degrees(sigmas.rotation_rad):.3g} degrees{turn}"
         )
         remedy = "likely they are in another order than the images, of another session, or their columns are exchanged"
         raise DataError("calibrate-mount", finding, remedy)

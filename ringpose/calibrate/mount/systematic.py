@@ -1,21 +1,17 @@
 """The part of the robot's error that depends systematically on its pose (ringpose-method(7), section 13).
 
 Wrong joint angles and lengths of links turn and move the tool by amounts that change slowly with the robot's pose. What
-they have in common in all views is no longer seen, as mount and board take it up, and does not average out. The error
-of view i is a random field, half of it a twist that is fixed in the tool and half of it one that is fixed in the base,
+they have in common in all views is not seen, as mount and board take it up, and does not average out. How much that is
+beside what is seen depends on where the joints' axes are: the errors of all views have the covariance
 
-    e_i = sqrt(1/2) u_i + sqrt(1/2) Ad_i v_i,    cov(u_i, u_j) = cov(v_i, v_j) = K_ij diag(S_r, S_t),
+    cov(e_i, e_j) = s_a^2 A_ij + s_l^2 L_ij + diag(s_r^2, s_t^2) [i = j]
 
-    K_ij = 1 / (1 + (angle_ij^2 + (distance_ij / reach)^2) / 2),
+with the fields A of angles and L of lengths (`arms`), averaged over the arms that may have these poses, and an
+independent error (repeatability).
 
-beside an independent one (repeatability). Ad_i takes a twist of the base at the robot's foot to the tool. An error of a
-joint's angle or of a link acts by the sine and cosine of the joints' angles: over an angle a it changes as cos(a) does,
-which is 1 - a^2 / 2 near 0, as K is. Further away K falls slowly, since parts of the error change with one joint only,
-or not at all. There is no length to be tuned.
-
-Few views do not show whether an error is of this kind. So the field, with a repeatability that is smaller by a ratio of
-which there is a prior, is weighed against errors that are independent in each view, by the evidence of both (restricted
-likelihoods, integrated by Laplace's method); the covariance is the mean of both. The estimate itself does not change.
+Few views do not show whether an error is of this kind. So it is weighed against errors that are independent in each
+view, by the evidence of both (restricted likelihoods with priors of the ratios, integrated by Laplace's method); the
+covariance is the mean of both. The estimate itself does not change.
 """
 
 from collections.abc import Sequence
@@ -24,29 +20,32 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.calibrate.mount.adjustment import (
-    ROTATION_BOUNDS_RAD,
-    TRANSLATION_BOUNDS_M,
     MountSolution,
     RobotSigmas,
 )
+from ringpose.calibrate.mount.arms import error_fields
 from ringpose.calibrate.mount.stations import Station
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.rotations import skew
 from ringpose.types.arrays import Array, Float64
 
-RATIO, RATIO_FACTOR = 15.0, 2.0
-"""Prior of the systematic part over the repeatability, and its standard deviation as a factor. Slamani, Nubiola and
-Bonev (2012) found 17 to 32 before a calibration of the robot; calibrated robots have a few. With the factor doubled few
-views do not tell errors of both kinds apart; with half of the ratio an arm that only repeats badly does not show it."""
+RATIO, RATIO_FACTOR = 10.0, 2.0
+"""Prior of the systematic part over the repeatability, and its standard deviation as a factor: calibrated robots have a
+few, others up to 32 (Slamani, Nubiola and Bonev 2012). The factor is also that between translations by lengths and
+those by angles. With it doubled few views do not tell errors of both kinds apart; with half of the ratio an arm that
+only repeats badly does not show it."""
 
-PRIOR_PROBABILITY = 0.9
-"""That the error is systematic, before the views are looked at: a robot whose error is its repeatability alone is the
-exception. With one half, the mean NEES of the mount by eight views with systematic errors is 1.3 instead of 1.1; with
-0.99, it is too small up to twenty views where the errors are independent."""
+USUAL_RAD, USUAL_M, USUAL_FACTOR = 5e-4, 3e-4, 10.0
+"""Prior of a robot's error about and along each axis, known by this factor."""
+
+PRIOR_PROBABILITY = 0.5
+"""That the error is systematic, before the views are looked at. With 0.9, the mean NEES of the mount by 12 views of an
+arm that only repeats badly falls from 0.8 to 0.6, and by 8 views with systematic errors it falls by 0.05."""
+
+POINTS, WIDER = 64, 1.2
+"""Points by which a posterior is integrated, drawn from a normal density that is wider by this factor."""
 
 _ITERATIONS = 40
-_MAX_VARIANCE = 0.7
-"""Variance of a logarithm of a variance up to which it is taken for Student's: then the covariance is tripled."""
 
 
 class SystematicError(NamedTuple):
@@ -56,49 +55,73 @@ class SystematicError(NamedTuple):
     """That the error depends on the robot's pose; else it is independent in each view."""
     repeatability: RobotSigmas
     systematic: RobotSigmas
-    """Standard deviations of the field, widened by the uncertainty of their estimate; both if there is one."""
+    """Standard deviations of the errors of the tool about and along each axis, widened by the uncertainty of their
+    estimate; both if there is a systematic part."""
     covariance: Float64[Array, "common common"]
-    """Of mount, board and what else is common, if there is a field: with the part that all views have in common."""
-    robot: RobotSigmas
-    """Standard deviations of a pose of the robot, with both parts, if there is a field."""
+    """Of mount, board and what else is common, if there is one: with the part that all views have in common."""
+    pose_covariance: Float64[Array, "6 6"]
+    """Of the camera at another pose of the robot (`camera_errors`), if there is one."""
 
 
-def systematic_error(solution: MountSolution, stations: Sequence[Station]) -> SystematicError:
+def systematic_error(solution: MountSolution, stations: Sequence[Station], eye_to_hand: bool) -> SystematicError:
     """The systematic part of the robot's error, and how probable it is."""
     views = len(stations)
     design = solution.numbers.wrt_common.reshape(6 * views, -1)
     known = solution.prior + solution.numbers.camera_information.sum(axis=0)
     wrt_error = solution.numbers.wrt_error
-    parts = tuple(_seen(wrt_error, each) for each in (*_independent(views), *_fields(stations)))
+    rotation = np.array([station.base_from_tool.rotation for station in stations])
+    fields = error_fields(rotation, np.array([station.base_from_tool.translation_m for station in stations]))
+    errors = (*_independent(views), *fields)
+    parts = tuple(_seen(wrt_error, each) for each in errors)
     own, z = _diagonal(solution.numbers.covariance), solution.numbers.z.ravel()
 
     independent = 2.0 * np.log(np.array(solution.sigmas))
-    without = _most_likely(independent, _Model(own, parts[:2], design, known, z))
-    with_field = _most_likely(
-        np.append(independent - 2.0 * np.log(RATIO), independent), _Model(own, parts, design, known, z)
-    )
-    odds = (1.0 / PRIOR_PROBABILITY - 1.0) * np.exp(np.clip(with_field.evidence - without.evidence, -100.0, 100.0) / 2)
+    moved_m2 = float(np.einsum("iiaa->a", fields.angles)[3:].mean()) / views
+    without = _posterior(independent, _Model(own, parts[:2], design, known, z, _prior(2, moved_m2)))
+    start = np.append(independent - 2.0 * np.log(RATIO), independent)
+    with_field = _posterior(start, _Model(own, parts, design, known, z, _prior(4, moved_m2)))
+    odds = (1.0 / PRIOR_PROBABILITY - 1.0) * np.exp(without.log_evidence - with_field.log_evidence)
 
-    variances = np.exp(with_field.logarithms)
-    spread = np.minimum(np.diag(np.linalg.inv(with_field.information))[2:], _MAX_VARIANCE)
-    variances[2:] /= 1.0 - spread  # Student's variance over the normal one, of 2 / spread degrees of freedom
-    places_m = [station.base_from_tool.translation_m for station in stations]
-    reach_m2 = float(np.mean([place_m @ place_m for place_m in places_m]))
-    # what displaces the tool turns it, too: an angle of a joint acts over the reach at most; the other half are lengths
-    variances[2] = max(variances[2], variances[3] / (2.0 * reach_m2))
+    variances = with_field.variances
     total = own + sum(variance * part for variance, part in zip(variances.tolist(), parts, strict=True))
     gain = solution.covariance @ design.T @ _diagonal(solution.weights)
     covariance = gain @ total @ gain.T + solution.covariance @ known @ solution.covariance
+    wrt_robot, wrt_mount = camera_errors(solution, stations, eye_to_hand)
+    of_field = sum(variance * field for variance, field in zip(variances[2:].tolist(), fields, strict=True))
+    of_pose = of_field[range(views), range(views)] + np.diag(np.repeat(variances[:2], 3))
+    with_mount = np.einsum("ijab,jcb->iajc", of_field, wrt_error).reshape(views, 6, -1) @ gain[:6].T
+    both = wrt_robot @ with_mount @ wrt_mount.swapaxes(1, 2)
+    pose_covariance = (
+        wrt_robot @ of_pose @ wrt_robot.swapaxes(1, 2) + both + both.swapaxes(1, 2)
+        + wrt_mount @ covariance[:6, :6] @ wrt_mount.swapaxes(1, 2)
+    ).mean(axis=0)  # fmt: skip
     sds = np.sqrt(variances)
-    # half of the turns are those of the base, at the end of the reach, two of three of them across it
-    rotation, translation = variances[0] + variances[2], variances[1] + variances[3] + variances[2] * reach_m2 / 3.0
     return SystematicError(
         probability=float(1.0 / (1.0 + odds)),
         repeatability=RobotSigmas(*sds[:2].tolist()),
-        systematic=RobotSigmas(*sds[2:].tolist()),
+        systematic=RobotSigmas(float(sds[2]), float(np.sqrt(variances[3] + moved_m2 * variances[2]))),
         covariance=covariance,
-        robot=RobotSigmas(float(np.sqrt(rotation)), float(np.sqrt(translation))),
+        pose_covariance=pose_covariance,
     )
+
+
+def camera_errors(
+    solution: MountSolution, stations: Sequence[Station], eye_to_hand: bool
+) -> tuple[Float64[Array, "view 6 6"], Float64[Array, "view 6 6"]]:
+    """Error of the camera in the frame that needs the robot's pose, by those of the robot and of the mount, at views.
+
+    As rotation vector and translation of the camera, along the axes of the tool: base_from_camera of a camera on the
+    tool, tool_from_camera of one beside the robot. The error of the mount is that of its estimate, less the truth.
+    """
+    mount = solution.state.mount
+    wrt_robot, wrt_mount = np.zeros((len(stations), 6, 6)), np.zeros((len(stations), 6, 6))
+    for view, station in enumerate(stations):
+        tool_from_camera = station.base_from_tool.inverse().after(mount) if eye_to_hand else mount
+        at_camera = np.eye(6)
+        at_camera[3:, :3] = -skew(tool_from_camera.translation_m)
+        wrt_robot[view] = -at_camera if eye_to_hand else at_camera
+        wrt_mount[view] = -np.kron(np.eye(2), station.base_from_tool.rotation.T if eye_to_hand else np.eye(3))
+    return wrt_robot, wrt_mount
 
 
 class _Model(NamedTuple):
@@ -110,69 +133,98 @@ class _Model(NamedTuple):
     design: Float64[Array, "row common"]
     known: Float64[Array, "common common"]
     z: Float64[Array, "row"]
+    prior: tuple[Float64[Array, "part"], Float64[Array, "part part"]]
+    """Mean and precision of the logarithms of the variances."""
 
 
-class _Fit(NamedTuple):
-    """Posterior density of the variances, with its derivatives by their logarithms."""
+def _prior(parts: int, moved_m2: float) -> tuple[Float64[Array, "part"], Float64[Array, "part part"]]:
+    """The usual error of a robot, known by a factor of 10, and ratios of its parts, known by `RATIO_FACTOR`.
 
-    logarithms: Float64[Array, "part"]
-    minus_two_log_density: float
-    gradient: Float64[Array, "part"]
-    information: Float64[Array, "part part"]
+    The ratios are those of angles over repeated rotations, lengths over repeated translations, and translations by
+    lengths over those by angles, which are half of the error of a pose each (`moved_m2`: the latter of a unit field).
+    """
+    usual, wide, narrow = (
+        2.0 * np.log([USUAL_RAD, USUAL_M]),
+        *((2.0 * np.log(factor)) ** -2 for factor in (USUAL_FACTOR, RATIO_FACTOR)),
+    )
+    if parts == 2:
+        return usual, wide * np.eye(2)
+    rows = np.array([[-1.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 1.0], [0.0, 0.0, -1.0, 1.0], [0.0, 0.0, 1.0, 0.0]])
+    ratio = 2.0 * np.log(RATIO)
+    expected = np.array([ratio, ratio - np.log(2.0), np.log(moved_m2), usual[0]])
+    return np.linalg.solve(rows, expected), rows.T @ np.diag([narrow, narrow, narrow, wide]) @ rows
 
-    @classmethod
-    def of(cls, logarithms: Float64[Array, "part"], model: _Model) -> "_Fit":
-        """At these logarithms of the variances of the parts, beside the noise of the corners."""
-        own, parts, design, known, z = model
+
+class _Posterior(NamedTuple):
+    """What the views show about the variances of a model."""
+
+    log_evidence: float
+    variances: Float64[Array, "part"]
+    """Their means."""
+
+
+def _posterior(start: Float64[Array, "part"], model: _Model) -> _Posterior:
+    """By Laplace's method, corrected by points that are drawn from it (importance sampling)."""
+    from scipy.special import ndtri
+    from scipy.stats import qmc
+
+    mode, information = _most_likely(start, model)
+    root = np.linalg.inv(np.linalg.cholesky(information)).T
+    drawn = ndtri(qmc.Sobol(len(mode), rng=0).random(POINTS)) * WIDER
+    logarithms = mode + drawn @ root.T
+    log_weight = np.array([_log_density(each, model) for each in logarithms])
+    log_weight += 0.5 * np.sum((drawn / WIDER) ** 2, axis=1)
+    largest = float(log_weight.max())
+    weight = np.exp(log_weight - largest)
+    volume = len(mode) * np.log(WIDER) - 0.5 * np.linalg.slogdet(information)[1]
+    return _Posterior(largest + float(np.log(weight.mean()) + volume), weight @ np.exp(logarithms) / weight.sum())
+
+
+def _log_density(logarithms: Float64[Array, "part"], model: _Model) -> float:
+    """Of the logarithms of the variances of the parts, beside the noise of the corners; but for a constant."""
+    total = model.own + sum(
+        variance * part for variance, part in zip(np.exp(logarithms).tolist(), model.parts, strict=True)
+    )
+    factor = np.linalg.cholesky(total)
+    whitened = np.linalg.solve(factor, np.column_stack([model.design, model.z]))
+    design, z = whitened[:, :-1], whitened[:, -1]
+    information = design.T @ design + model.known
+    free = np.diag(information) > 0.0
+    information, gradient = information[np.ix_(free, free)], (design.T @ z)[free]
+    scale = 1.0 / np.sqrt(np.diag(information))
+    scaled = np.linalg.cholesky(information * np.outer(scale, scale))
+    shown = np.linalg.solve(scaled, scale * gradient)
+    determinants = np.log(np.diag(factor)).sum() + np.log(np.diag(scaled)).sum() - np.log(scale).sum()
+    expected, precision = model.prior
+    off = logarithms - expected
+    return float(
+        -determinants - 0.5 * (z @ z - shown @ shown) - 0.5 * off @ precision @ off
+        + 0.5 * np.linalg.slogdet(precision)[1]
+    )  # fmt: skip
+
+
+def _most_likely(
+    start: Float64[Array, "part"], model: _Model
+) -> tuple[Float64[Array, "part"], Float64[Array, "part part"]]:
+    """The logarithms of the highest density by Fisher scoring, and their information."""
+    own, parts, design, known, z, (expected, precision) = model
+    logarithms = start
+    for _ in range(_ITERATIONS):
         scaled_parts = [variance * part for variance, part in zip(np.exp(logarithms).tolist(), parts, strict=True)]
-        total = own + sum(scaled_parts)
-        inverse = np.linalg.inv(total)
+        inverse = np.linalg.inv(own + sum(scaled_parts))
         weighted = inverse @ design
-        covariance = covariance_of_free(design.T @ weighted + known)
-        projector = inverse - weighted @ covariance @ weighted.T
+        projector = inverse - weighted @ covariance_of_free(design.T @ weighted + known) @ weighted.T
         rest = projector @ z
         scaled = [projector @ each for each in scaled_parts]
         gradient = [
             0.5 * (rest @ part @ rest - np.trace(each)) for part, each in zip(scaled_parts, scaled, strict=True)
         ]
-        information = [[0.5 * float((one * other.T).sum()) for other in scaled] for one in scaled]
-        free = np.diag(covariance) > 0.0
-        determinants = np.linalg.slogdet(total)[1] - np.linalg.slogdet(covariance[np.ix_(free, free)])[1]
-        ratios, precision = _ratios(len(parts))
-        off = ratios @ logarithms - 2.0 * np.log(RATIO)
-        # a weak prior, of a variance of 20 of each logarithm, for what the views do not determine
-        return cls(
-            logarithms,
-            float(determinants + z @ rest + precision * off @ off),
-            np.array(gradient) - precision * ratios.T @ off,
-            np.array(information) + 0.05 * np.eye(len(parts)) + precision * ratios.T @ ratios,
-        )
-
-    @property
-    def evidence(self) -> float:
-        """Minus twice the logarithm of the density's integral, but for the constant that all models have."""
-        ratios, precision = _ratios(len(self.logarithms))
-        determinant = float(np.linalg.slogdet(self.information)[1])
-        return self.minus_two_log_density + determinant - len(ratios) * float(np.log(precision))
-
-
-def _ratios(parts: int) -> tuple[Float64[Array, "ratio part"], float]:
-    """Rows that give the logarithms of field over repeatability of the variances, and the precision of their prior."""
-    ratios = np.zeros((0, parts)) if parts == 2 else np.column_stack([-np.eye(2), np.eye(2)])
-    return ratios, float(1.0 / (2.0 * np.log(RATIO_FACTOR)) ** 2)
-
-
-def _most_likely(start: Float64[Array, "part"], model: _Model) -> _Fit:
-    """The variances of the highest density within the bounds of the robot's error, by Fisher scoring."""
-    lower = 2.0 * np.log(np.tile([ROTATION_BOUNDS_RAD[0], TRANSLATION_BOUNDS_M[0]], len(start) // 2))
-    fit = _Fit.of(start, model)
-    for _ in range(_ITERATIONS):
-        step = np.clip(np.linalg.solve(fit.information, fit.gradient), -2.0, 2.0)
-        moved = np.maximum(fit.logarithms + step, lower)
-        if np.abs(moved - fit.logarithms).max() < 0.02:
+        information = np.array([[0.5 * float((one * other.T).sum()) for other in scaled] for one in scaled]) + precision
+        step = np.linalg.solve(information, np.array(gradient) - precision @ (logarithms - expected))
+        if np.abs(step).max() < 0.02:
             break
-        fit = _Fit.of(moved, model)
-    return fit
+        logarithms = logarithms + np.clip(step, -2.0, 2.0)
+    return logarithms, information
 
 
 def _independent(views: int) -> tuple[Float64[Array, "view view 6 6"], Float64[Array, "view view 6 6"]]:
@@ -186,25 +238,6 @@ def _of_rotation() -> Float64[Array, "6 6"]:
 
 def _of_translation() -> Float64[Array, "6 6"]:
     return np.diag([0.0, 0, 0, 1, 1, 1])
-
-
-def _fields(stations: Sequence[Station]) -> tuple[Float64[Array, "view view 6 6"], Float64[Array, "view view 6 6"]]:
-    """Covariances of the errors of two views in a field of unit variance, of rotation and of translation."""
-    rotation = np.array([station.base_from_tool.rotation for station in stations])
-    position_m = np.array([station.base_from_tool.translation_m for station in stations])
-    reach_m = np.sqrt(np.mean(np.sum(position_m**2, axis=1)))
-    cosine = (np.einsum("iab,jab->ij", rotation, rotation) - 1.0) / 2.0
-    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-    distance = np.linalg.norm(position_m[:, None] - position_m, axis=2) / reach_m
-    correlation = (1.0 / (1.0 + 0.5 * (angle**2 + distance**2)))[:, :, None, None]
-    in_tool = np.zeros((len(stations), 6, 6))
-    in_tool[:, :3, :3] = in_tool[:, 3:, 3:] = rotation.swapaxes(1, 2)
-    in_tool[:, 3:, :3] = [-turn.T @ skew(place) for turn, place in zip(rotation, position_m, strict=True)]
-    fields = [
-        correlation * 0.5 * (each + np.einsum("iab,bc,jdc->ijad", in_tool, each, in_tool))
-        for each in (_of_rotation(), _of_translation())
-    ]
-    return fields[0], fields[1]
 
 
 def _seen(

@@ -15,7 +15,7 @@ from ringpose.calibrate.mount.adjustment import (
     robot_sigmas,
 )
 from ringpose.calibrate.mount.stations import Station
-from ringpose.calibrate.mount.systematic import SystematicError
+from ringpose.calibrate.mount.systematic import SystematicError, camera_errors
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.types.arrays import Array, Bool, Float64
 
@@ -61,19 +61,32 @@ def left_out(solution: MountSolution, stations: Sequence[Station]) -> LeftOut:
     return LeftOut(np.array(steps), np.array(covariances), np.array(distances_m), np.array(angles_rad))
 
 
+class Validated(NamedTuple):
+    """The covariance of a solution as far as its views support it."""
+
+    covariance: Float64[Array, "common common"]
+    """Of X, Y, delay."""
+    pose_covariance: Float64[Array, "6 6"]
+    """Of the camera at another pose of the robot like those of the views (`camera_errors`)."""
+    disagreement: tuple[float, float]
+    """Factors by which the views disagree more about rotation and translation of X than their likelihood explains."""
+
+
 def validated_covariance(
     solution: MountSolution,
+    stations: Sequence[Station],
     without: LeftOut,
     camera_covariance: Float64[Array, "parameter parameter"] | None,
     systematic: SystematicError,
-) -> tuple[Float64[Array, "common common"], tuple[float, float]]:
-    """Covariance of X, Y, delay, and factors by which views disagree more about X than their likelihood explains.
+    eye_to_hand: bool,
+) -> Validated:
+    """The covariance of the likelihood, widened where views left out disagree, with a systematic error of the robot.
 
-    The factors, of rotation and translation, are those between the jackknife by views and its expectation, the
-    difference of the covariances with and without a view. They widen the covariance where they are larger. The
-    uncertainty of the robot's standard deviations makes normal errors Student's. This and the covariance with a
-    systematic error of the robot, which leaving out views does not show, are averaged by their probabilities. The
-    covariance of a camera that is held fixed is propagated.
+    The factors of disagreement, of rotation and translation, are those between the jackknife by views and its
+    expectation, the difference of the covariances with and without a view. They widen the covariance where they are
+    larger than by Student's distribution, which the uncertainty of the robot's standard deviations makes of normal
+    errors. This and the covariance with a systematic error of the robot, which leaving out views does not show, are
+    averaged by their probabilities. The covariance of a camera that is held fixed is propagated.
     """
     views = len(solution.numbers.z)
     common = camera_from(solution.has_delay)
@@ -89,14 +102,22 @@ def validated_covariance(
         factors.append(jackknife / max(expected, 1e-12))
     by_sigmas = [student_factor(views)] * 4 + [stamp_factor(views)] * (common > 12)
     widening = np.sqrt(np.repeat(np.maximum(factors[:2] * 2 + factors[2:], by_sigmas), 3)[:common])
-    total = covariance * np.outer(widening, widening)
+    independent = covariance * np.outer(widening, widening)
     share = systematic.probability
-    total = (1.0 - share) * total + share * systematic.covariance[:common, :common]
+    total = (1.0 - share) * independent + share * systematic.covariance[:common, :common]
+    of_camera = np.zeros((6, 6))
     if camera_covariance is not None and len(solution.covariance) == common:
         weighted = solution.numbers.wrt_common.swapaxes(1, 2) @ solution.weights
         influence = covariance @ (weighted @ solution.numbers.wrt_camera).sum(axis=0)
-        total = total + influence @ camera_covariance @ influence.T
-    return total, (factors[0], factors[1])
+        by_camera = influence @ camera_covariance @ influence.T
+        total, of_camera = total + by_camera, by_camera[:6, :6]
+    wrt_robot, wrt_mount = camera_errors(solution, stations, eye_to_hand)
+    robot = wrt_robot * student_factor(views) * solution.sigmas.variances @ wrt_robot.swapaxes(1, 2)
+    by_mount = (1.0 - share) * independent[:6, :6] + of_camera
+    pose_covariance = (
+        (1.0 - share) * robot + wrt_mount @ by_mount @ wrt_mount.swapaxes(1, 2)
+    ).mean(axis=0) + share * systematic.pose_covariance  # fmt: skip
+    return Validated(total, pose_covariance, (factors[0], factors[1]))
 
 
 def student_factor(views: int) -> float:

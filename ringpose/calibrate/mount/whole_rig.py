@@ -102,10 +102,12 @@ def whole_rig(
     separate = _held_out(mount, stations, evidence, without_one)
     joint = _held_out(mount, stations, evidence, lambda index: _joint_without(stations, jointly, camera, mount, index))
     is_joint = joint.rms_m < separate.rms_m
+    if is_joint:
+        mount = _joint_mount(mount, jointly, stations)
     return WholeRig(
         camera=camera,
-        planes=_joint_planes(planes, jointly, stations, evidence) if is_joint else planes,
-        mount=_joint_mount(mount, jointly, stations) if is_joint else mount,
+        planes=_joint_planes(planes, mount, evidence) if is_joint else planes,
+        mount=mount,
         is_joint=is_joint,
         separate=separate,
         joint=joint,
@@ -228,26 +230,26 @@ def _errors(station: Station, lasers: Sequence[int], rig: Prediction, eye_to_han
 
 def _joint_mount(mount: MountCalibration, solution: MountSolution, stations: Sequence[Station]) -> MountCalibration:
     without = left_out(solution, stations)
-    systematic = systematic_error(solution, stations)
-    covariance, factors = validated_covariance(solution, without, None, systematic)
+    systematic = systematic_error(solution, stations, mount.eye_to_hand)
+    validated = validated_covariance(solution, stations, without, None, systematic, mount.eye_to_hand)
     known = np.isfinite(mount.without.distance_m)
     without = without._replace(
         distance_m=np.where(known, without.distance_m, np.nan), angle_rad=np.where(known, without.angle_rad, np.nan)
     )
     return replace(
-        mount, stations=tuple(stations), solution=solution, covariance=covariance, systematic=systematic,
-        disagreement=factors, without=without, board_scale=board_scale(solution),
+        mount, stations=tuple(stations), solution=solution, covariance=validated.covariance,
+        pose_covariance=validated.pose_covariance, systematic=systematic, disagreement=validated.disagreement,
+        without=without, board_scale=board_scale(solution),
     )  # fmt: skip
 
 
-def _joint_planes(
-    planes: PlanesAssessment, solution: MountSolution, stations: Sequence[Station], evidence: StripeEvidence
-) -> PlanesAssessment:
+def _joint_planes(planes: PlanesAssessment, mount: MountCalibration, evidence: StripeEvidence) -> PlanesAssessment:
     """Camera and planes of the joint solution, their covariance with the robot's error that all views have in common.
 
     Residuals and held-out errors of each view are those of the separate solution.
     """
-    state, systematic = solution.state, systematic_error(solution, stations)
+    solution, systematic = mount.solution, mount.systematic
+    state = solution.state
     share, first = systematic.probability, camera_from(solution.has_delay)
     covariance = ((1.0 - share) * solution.covariance + share * systematic.covariance)[first:, first:]
     camera_first = np.roll(np.arange(len(covariance)), len(covariance) - state.planes.parameters)

@@ -34,3 +34,10 @@ def test_images_and_poses_are_paired_by_the_numbers_in_their_names():
     )
 
     assert [found.position_m[0] for found in matched] == [0.1, 0.3]
+
+
+def test_a_pose_that_names_no_shot_beside_others_that_do_is_named_by_its_line():
+    unnamed = pose(None)._replace(location="poses.jsonl:2")
+
+    with pytest.raises(DataError, match=r"poses\.jsonl:2: names no shot"):
+        matched_poses(["a", "b"], [0.0, 0.0], [pose(None, name="a"), unnamed], "poses.jsonl")

@@ -223,11 +223,18 @@ def read_as_zyx(pose):
     [
         (lambda pose: Transform(pose.rotation, 1e3 * pose.translation_m), "m,xyzw", "positions are in millimetres"),
         (lambda pose: Transform(pose.rotation, 1e-3 * pose.translation_m), "mm,xyzw", "positions are in metres"),
+        (lambda pose: Transform(pose.rotation, 1e2 * pose.translation_m), "m,xyzw", "in centimetres"),
+        (
+            lambda pose: Transform(pose.rotation, pose.translation_m / 0.0254),
+            "m,xyzw",
+            "in inches and are read as metres",
+        ),
+        (lambda pose: Transform(pose.rotation, pose.translation_m / 25.4), "mm,xyzw", "in inches and are read as mill"),
         (as_wxyz, "m,xyzw", "the quaternions are wxyz"),
         (read_as_zyx, "kuka", "the angles are of the order xyz"),
         (lambda pose: pose.inverse(), "kuka", "inverted"),
     ],
-    ids=["millimetres", "metres", "quaternion", "angles", "inverted"],
+    ids=["millimetres", "metres", "centimetres", "inches as m", "inches as mm", "quaternion", "angles", "inverted"],
 )
 def test_poses_read_by_another_convention_are_refused_with_the_likely_cause(change, convention, cause, rng):
     _, stations = world(rng, 8)
@@ -236,6 +243,24 @@ def test_poses_read_by_another_convention_are_refused_with_the_likely_cause(chan
         calibrate_mount(
             [changed(station, change) for station in stations], TRUE_CAMERA, convention=convention_named(convention)
         )
+
+
+def test_a_pose_that_was_written_for_each_view_is_refused(rng):
+    _, stations = world(rng, 6)
+
+    with pytest.raises(DataError, match=r"turned against each other by at most 0 degrees.*the same pose was written"):
+        calibrate_mount([changed(one, lambda _: stations[0].base_from_tool) for one in stations], TRUE_CAMERA)
+
+
+def test_poses_that_fit_no_mount_are_refused_with_their_least_error(rng):
+    _, stations = world(rng, 8)
+    scattered = [
+        changed(one, lambda pose: Transform(pose.rotation, pose.translation_m + rng.normal(0, 0.3, 3)))
+        for one in stations
+    ]
+
+    with pytest.raises(DataError, match="its error would be 50 mm or more and"):
+        calibrate_mount(scattered, TRUE_CAMERA)
 
 
 def test_a_board_of_another_size_is_noticed(rng):
@@ -290,7 +315,7 @@ def test_poses_in_another_order_than_the_images_give_no_mount_unnamed(order, rng
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("views", "eye_to_hand", "lowest"), [(12, False, 0.7), (12, True, 0.7), (6, False, 0.5)])
+@pytest.mark.parametrize(("views", "eye_to_hand", "lowest"), [(12, False, 0.7), (12, True, 0.7), (6, False, 0.4)])
 def test_the_nees_of_the_mount_is_in_its_band(views, eye_to_hand, lowest, rng):
     nees = []
     for _ in range(100):

@@ -46,6 +46,13 @@ OFFSET_WRIST = Arm(  # 0.85 m, as collaborative arms have it
     ]),
     np.array([0.3, -1.4, 1.6, -1.8, -1.4, 0.3]),
 )  # fmt: skip
+LARGE = Arm(  # 2 m, with a wrist whose axes meet
+    np.array([
+        [0.175, -np.pi / 2, 0.495, 0.0], [0.9, 0.0, 0.0, -np.pi / 2], [0.175, -np.pi / 2, 0.0, 0.0],
+        [0.0, np.pi / 2, 0.96, 0.0], [0.0, -np.pi / 2, 0.0, 0.0], [0.0, 0.0, 0.135, np.pi],
+    ]),
+    np.array([1.0, 0.3, 0.4, -0.6, 0.8, 0.2]),
+)  # fmt: skip
 SCARA = Arm(  # two parallel axes, a column, and a wrist of three axes
     np.array([
         [0.325, 0.0, 0.4, 0.0], [0.275, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0],
@@ -55,6 +62,7 @@ SCARA = Arm(  # two parallel axes, a column, and a wrist of three axes
     (False, False, True, False, False, False),
 )  # fmt: skip
 LENGTH_SD_M, ANGLE_SD_RAD, GEAR_SD_RAD = 2e-4, 3e-4, 2e-4
+SESSIONS = 60
 REPEATABILITY = (8e-5, 4e-5)
 """Of an ABB IRB 1600 (Slamani, Nubiola and Bonev 2012), whose error before a calibration is 17 to 32 times larger."""
 
@@ -177,7 +185,7 @@ def test_errors_of_joints_and_links_are_recognised_and_widen_the_covariance(rng)
 
     found = calibration.systematic
     assert found.probability > 0.95
-    assert found.repeatability.translation_m < 0.5 * found.robot.translation_m
+    assert found.repeatability.translation_m < 0.5 * found.systematic.translation_m
     by_likelihood = calibration.solution.covariance
     assert np.trace(calibration.covariance[3:6, 3:6]) > 4.0 * np.trace(by_likelihood[3:6, 3:6])
     assert mount_nees(calibration) < 3.0
@@ -207,9 +215,9 @@ def test_few_views_that_do_not_show_the_kind_of_error_report_it_and_widen_the_co
 
 
 def nees_of(rng, arm: Arm, views: int, systematic: float) -> np.ndarray:
-    """Means over 100 sessions: of the mount, and of place and orientation of the board in the base."""
+    """Means over `SESSIONS`: of the mount, and of place and orientation of the board in the base."""
     nees = []
-    for _ in range(100):
+    for _ in range(SESSIONS):
         made = session(rng, views, systematic, arm)
         calibration = calibrate_mount(made.stations, TRUE_CAMERA)
         nees.append((mount_nees(calibration), *base_errors(calibration, made)))
@@ -219,27 +227,27 @@ def nees_of(rng, arm: Arm, views: int, systematic: float) -> np.ndarray:
 def limits(probability: float) -> np.ndarray:
     """Band of the means by chi-squared, of 6, 3 and 3 degrees of freedom."""
     tail = 0.5 - probability / 2
-    freedom = 100 * np.array([6, 3, 3])
+    freedom = SESSIONS * np.array([6, 3, 3])
     return np.array([chi_squared([tail, 1 - tail], count) / count for count in freedom.tolist()]).T
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arm", "views", "systematic"),
-    [(ARM, 8, 1.0), (OFFSET_WRIST, 8, 1.0), (SCARA, 12, 1.0)],
-    ids=["8", "offset wrist, 8", "SCARA, 12"],
-)
-def test_the_nees_with_systematic_errors_is_in_its_band(arm, views, systematic, rng):
-    """Errors of half a millimetre, or twice of that."""
-    nees = nees_of(rng, arm, views, systematic)
+def test_the_nees_with_systematic_errors_is_in_its_band(rng):
+    """Errors of half a millimetre, by arms whose lengths are not those of the family that the covariance assumes."""
+    nees = np.array([nees_of(rng, arm, 8, 1.0) for arm in (OFFSET_WRIST, LARGE)])
 
-    # the variances are estimated, with a prior of their ratio that fits no arm exactly
-    assert np.sum(nees > limits(0.99)[1]) <= 1
-    assert np.all((nees > 0.5) & (nees < 1.4))
+    low, high = limits(0.99)
+    assert np.sum((nees < low) | (nees > high)) <= 1
+    assert np.all((nees > low - 0.1) & (nees < high + 0.1))
+
+
+@pytest.mark.slow
+def test_the_covariance_of_an_arm_of_another_kind_is_not_too_small(rng):
+    assert np.all(nees_of(rng, SCARA, 12, 1.0) < limits(0.99)[1])
 
 
 @pytest.mark.slow
 def test_the_covariance_of_an_arm_that_only_repeats_badly_is_at_most_somewhat_too_large(rng):
     nees = nees_of(rng, ARM, 12, 0.0)
 
-    assert np.all((nees > 0.6) & (nees < limits(0.99)[1]))
+    assert np.all((nees > 0.4) & (nees < limits(0.99)[1]))
