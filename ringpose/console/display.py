@@ -120,7 +120,7 @@ class Plots:
                     uplot.Series(label=x_label),
                     _points("error", "#4f8fef"),
                     uplot.Series(label="sigma", stroke="#d0604f", width=1, points={"show": False}),
-                    uplot.Series(label="", stroke="#d0604f", width=0, points={"show": False}),
+                    uplot.Series(label="zero", stroke="#d0604f", width=0, points={"show": False}),
                 ),
                 bands=(uplot.Band(series=(2, 3), fill="rgba(208, 96, 79, 0.25)"),),
                 title=title,
@@ -136,7 +136,9 @@ class Plots:
             return
         table, places = np.array(rows), np.array(x, dtype=np.float64)
         for number, plot in enumerate(self._plots):
-            plot.data = (places, table[:, 2 * number], table[:, 2 * number + 1], np.zeros(len(places)))
+            error, sigma = table[:, 2 * number], table[:, 2 * number + 1]
+            known = np.isfinite(sigma)  # the band has no gaps
+            plot.data = (places[known], error[known], sigma[known], 0.0 * sigma[known])
 
 
 def csv_of(x_label: str, x: Sequence[float], rows: Sequence[tuple[float, ...]]) -> str:
@@ -178,7 +180,9 @@ def comparison_html(pose: RingPose | None, truth: Truth) -> str:
     cells = [[name, *map(_cell, (true, value, sigma, value - true))] for name, true, value, sigma in rows]
     lines = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in cells)
     heads = "".join(f"<th>{head}</th>" for head in ("", "truth", "estimate", "sigma", "error"))
-    style = "width:100%;text-align:right;font-size:0.85em;font-variant-numeric:tabular-nums"
+    style = (
+        "width:calc(100% - 1.2em);margin:0 0.6em;text-align:right;font-size:0.85em;font-variant-numeric:tabular-nums"
+    )
     return f'<table style="{style}"><tr>{heads}</tr>{lines}</table>'
 
 

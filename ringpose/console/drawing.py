@@ -214,7 +214,8 @@ def legend_html(rig: Rig, names: Sequence[str] = tuple(RING_STYLES)) -> str:
         f'<span style="white-space:nowrap"><b style="color:rgb{color}">&#9632;</b> {escape(text)}</span>'
         for text, color in entries
     ]
-    return f'<div style="padding:0 0.6em;font-size:0.85em">{" &ensp; ".join(marks)}</div>'
+    style = "display:flex;flex-wrap:wrap;gap:0 0.9em;padding:0 0.6em;font-size:0.85em"
+    return f'<div style="{style}">{"".join(marks)}</div>'
 
 
 RING_TITLES = {"pose": "estimate", "track": "track", "truth": "truth"}

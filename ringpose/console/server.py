@@ -103,17 +103,19 @@ def _quiet() -> Iterator[None]:
 
 
 WIDE_PX = 1800
-"""Width of the scene from which the first browser gets the second width of the panel, as its texts are larger."""
+"""Width of the scene from which a new browser gets the second width of the panel, as its texts are larger."""
 
 
 def _widen_in_wide_windows(server: viser.ViserServer, width: Any) -> None:
-    seen: list[int] = []
+    """Widen the panel once for each browser, so that its user can still choose another width."""
+    seen: set[int] = set()
 
     def widen(camera: Any) -> None:
-        if not seen and camera.image_width > WIDE_PX and width.value == f"{PANEL_PX[0]}":
+        is_new, wide = camera.client.client_id not in seen, camera.image_width > WIDE_PX
+        seen.add(camera.client.client_id)
+        if is_new and wide and width.value == f"{PANEL_PX[0]}":
             width.value = f"{PANEL_PX[1]}"
             server.gui.main_panel.set_width(PANEL_PX[1])
-        seen.append(camera.image_width)
 
     def connected(client: viser.ClientHandle) -> None:
         client.camera.on_update(widen)
