@@ -17,7 +17,6 @@ from ringpose.bench.study.executors import Done
 from ringpose.bench.study.shots import StudyShot, failed_rows, setting_of, study_rows, study_shot
 from ringpose.bench.study.table import finding, worst_shots
 from ringpose.files.studies.results import ResultFolder
-from ringpose.processes import cores
 from ringpose.report.page import Picture
 from ringpose.simulate.pipeline import simulated_boards
 from ringpose.types.image import Shot
@@ -71,7 +70,7 @@ def prepared(study: Study, folder: ResultFolder, jobs: int) -> Study:
         return study
     rig_file = folder.folder / "calibrated-rig.yaml"
     if not rig_file.exists():
-        write_rig(rig_file, calibrated_rig(study.scene, jobs or cores()))
+        write_rig(rig_file, calibrated_rig(study.scene, jobs))
     return replace(study, rig=read_rig(rig_file))
 
 
@@ -106,11 +105,10 @@ def calibrated_rig(scene: Scene, jobs: int = 1) -> Rig:
 def computed(
     study: Study, indices: list[int], jobs: int, scheduler: str | None, scheduler_file: Path | None
 ) -> Iterator[Done]:
-    """Compute shots, in any order: by a cluster if a scheduler is given, else by processes (0: one a core)."""
+    """Compute shots, in any order: by a cluster if a scheduler is given, else by processes."""
     if not indices:
         return iter(())
-    processes = jobs or cores()
-    executor = executors.in_this_process if processes == 1 else executors.by_processes(processes)
+    executor = executors.in_this_process if jobs == 1 else executors.by_processes(jobs)
     if scheduler is not None or scheduler_file is not None:
         executor = executors.by_cluster(scheduler, scheduler_file)
     rows = study_rows if study.capture is None else capture_rows
@@ -197,7 +195,7 @@ def pictures_of_worst(study: Study, folder: ResultFolder) -> list[Picture]:
     for index, shot in _worst(study, folder, OVERLAYS):
         source = shot.run[-1]
         assert isinstance(source, Shot)
-        picture = overlay(picture_of(source), Setup(rig=shot.scene.rig).detection(source))
+        picture = overlay(picture_of(source), Setup(rig=shot.scene.rig).detection(source), rig=shot.scene.rig)
         png = cv2.imencode(".png", picture[_around_stripes(shot.truth, picture.shape)])[1]
         setting = ", ".join(f"{name} {value}" for name, value in shot.setting.items())
         caption = f"Shot {index} ({method}): {finding(rows[index])}; {setting}"

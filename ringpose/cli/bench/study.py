@@ -12,7 +12,7 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import Force, Quiet, Report, check_report, file_option
-from ringpose.cli.batch import Batch, with_total
+from ringpose.cli.batch import Batch, Jobs, with_total
 from ringpose.cli.bench.score import Cron, report_missed
 from ringpose.errors import UsageError
 
@@ -44,12 +44,7 @@ def study(
     seed: Annotated[
         int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the study's.")
     ] = None,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            "--jobs", "-j", metavar="N", min=0, help="Processes; 0 is one per core. Results do not depend on it."
-        ),
-    ] = 0,
+    jobs: Jobs = 0,
     scheduler: Annotated[
         str | None, typer.Option("--scheduler", metavar="URI", help="Compute on this dask cluster (tcp://...).")
     ] = None,
