@@ -6,9 +6,10 @@
     ringpose pose shots --rig rig.yaml | python3 examples/controller.py --replay
 
 A thread reads the lines, so that the control loop never waits for a pose. A shot leads to a motion only if it is new
-(its stamp against the clock and against the shots before), in the frame that the robot expects, without a flag that
-concerns the grasp point or the normal, and if the covariance of both is small enough; any other shot leads to a hold.
-A track must be `valid`, that is, neither predicted nor lost. Lines that are not whole records, and shots that arrive
+(its stamp against the clock and against the shots before), in the frame that the robot expects, and if grasp point and
+normal may be off by no more than the alert limits: by their protection levels, at the risk that `--risk` of `ringpose
+pose` states. A quantity that cannot be relied on has no level; the flags explain why. Any other shot leads to a hold. A
+track must be `valid`, that is, neither predicted nor lost. Lines that are not whole records, and shots that arrive
 after a newer one, are reported on stderr and ignored. Silence for longer than `--patience`, and the end of the stream,
 lead to a hold, too.
 """
@@ -25,10 +26,7 @@ TRACK = "ringpose/track/1"
 HEALTH_KEYS = {"ringpose/pose/1": "laser_health", "ringpose/pose/2": "rig_health", TRACK: None}  # by schema
 MAX_DISTANCE_M = 5.0  # largest plausible distance; a larger number is in millimetres
 MAX_ROUNDING = 1e-3  # tolerance of the length of a unit vector
-HOLD_FLAGS = {  # other flags concern other numbers; relabelled: assignment_ambiguous in version 1
-    "grasp_weak", "normal_weak", "inconsistent", "assignment_ambiguous", "relabelled", "rig_drift",
-    "rig_bent",
-}  # fmt: skip
+LEVELS = ("grasp_normal_m", "grasp_radial_m", "normal_rad")
 
 
 class Lines:
@@ -101,28 +99,19 @@ def record_in(line):
     check(all(figure is None or is_number(figure) for figure in health.values()), "the rig's health has no numbers")
     pose = record["pose"]
     if pose is not None:
-        check_keys(pose, ["grasp_m", "normal", "covariance"], "pose")
+        check_keys(pose, ["grasp_m", "normal"], "pose")
         for key in ("grasp_m", "normal"):
             check(pose[key] is None or is_vector(pose[key]), f"{key} is not a vector of three numbers")
         if pose["normal"] is not None:
             check(abs(math.hypot(*pose["normal"]) - 1) < MAX_ROUNDING, "normal has not length 1")
         if pose["grasp_m"] is not None and record["frame"] == "camera":
             check(math.hypot(*pose["grasp_m"]) < MAX_DISTANCE_M, f"grasp_m is not within {MAX_DISTANCE_M} m")
-        if pose["covariance"] is not None:
-            check_keys(pose["covariance"], ["full", "grasp"], "covariance")
+    levels = record.get("protection")
+    if levels is not None:
+        check_keys(levels, ["risk", *LEVELS], "protection")
+        known = [levels[key] for key in LEVELS if levels[key] is not None]
+        check(all(is_number(level) and level >= 0 for level in known), "protection has no numbers")
     return record
-
-
-def standard_deviations(covariance):
-    """Of the grasp point in metres and of the normal in radians (upper bounds over all directions); None if unknown."""
-    try:
-        grasp = [covariance["grasp"][i][i] for i in range(3)]
-        tilt = [covariance["full"][i][i] for i in range(2)]
-    except (TypeError, KeyError, IndexError):  # null where something is not determined
-        return None
-    if not all(is_number(variance) and variance >= 0 for variance in grasp + tilt):
-        return None
-    return math.sqrt(sum(grasp)), math.sqrt(sum(tilt))
 
 
 def obstacle(record, limits, now_s):
@@ -136,18 +125,16 @@ def obstacle(record, limits, now_s):
         return f"the track is {record['validity']:.20}"
     if pose is None or record["status"] not in ("ok", "degraded"):
         return record["reason"] or f"status is {record['status']!r:.20}"
-    if pose["grasp_m"] is None or pose["normal"] is None or HOLD_FLAGS.intersection(record["flags"]):
-        return record["reason"] or ", ".join(record["flags"]) or "grasp point or normal is not determined"
     if any(figure is not None and figure > limits.health for figure in rig_health(record).values()):
         return "a light plane or the camera has moved"
-    known = standard_deviations(pose["covariance"])
-    if known is None or not (known[0] <= limits.grasp_m and known[1] <= limits.tilt_rad):
-        figures = (
-            "its covariance is unknown"
-            if known is None
-            else f"{1000 * known[0]:.2f} mm, {math.degrees(known[1]):.2f} degrees"
-        )
-        return f"not accurate enough: {figures}"
+    levels = record.get("protection") or {}
+    off_m, across_m, tilt_rad = (levels.get(key) for key in LEVELS)
+    if None in (off_m, across_m, tilt_rad, pose["grasp_m"], pose["normal"]):
+        return record["reason"] or ", ".join(record["flags"]) or "nothing states how far it may be off"
+    tilt_deg = math.degrees(tilt_rad)
+    if not (max(off_m, across_m) <= limits.alert_limit_m and tilt_deg <= limits.alert_limit_deg):
+        figures = f"{1000 * off_m:.2f} mm along the normal, {1000 * across_m:.2f} mm across the face"
+        return f"not accurate enough: it may be off by {figures}, {tilt_deg:.2f} degrees"
     return None
 
 
@@ -158,8 +145,8 @@ def command(record, limits, now_s):
         return {"do": "hold", "why": why}
     to_m = [round(part, 5) for part in record["pose"]["grasp_m"]]
     approach = [round(-part, 5) for part in record["pose"]["normal"]]
-    grasp_sd_m, _ = standard_deviations(record["pose"]["covariance"])
-    return {"do": "move", "to_m": to_m, "along": approach, "frame": record["frame"], "sd_m": round(grasp_sd_m, 6)}
+    level_m = max(record["protection"][key] for key in LEVELS[:2])
+    return {"do": "move", "to_m": to_m, "along": approach, "frame": record["frame"], "level_m": round(level_m, 6)}
 
 
 def newest_in(lines, newest_s, limits):
@@ -210,8 +197,8 @@ def main():
     parser.add_argument(
         "--patience", type=float, default=0.5, help="hold after this number of seconds without a pose record"
     )
-    parser.add_argument("--grasp-m", type=float, default=0.002, help="standard deviation that is good enough")
-    parser.add_argument("--tilt-rad", type=float, default=0.05, help="standard deviation that is good enough")
+    parser.add_argument("--alert-limit-m", type=float, default=0.005, help="how far the grasp point may be off")
+    parser.add_argument("--alert-limit-deg", type=float, default=3.0, help="how far the normal may be off")
     parser.add_argument("--health", type=float, default=3.0, help="rig_health from which the rig is not trusted")
     limits = parser.parse_args()
     if sys.stdin is None or sys.stdout is None:  # started with <&- or >&-

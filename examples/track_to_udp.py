@@ -5,12 +5,13 @@
         python3 examples/track_to_udp.py --to 192.168.0.10:5005 --rate 100
 
 Each datagram is one JSON object: `do` is `follow`, with the grasp point and the normal extrapolated to the time of
-sending, or `hold`. It is `hold` on anything but a track that is valid, recent and accurate enough, when no line has
-arrived for `--patience` seconds, and at the end of the stream.
+sending, or `hold`. It is `hold` on anything but a track that is valid, recent and, by its protection levels, not off by
+more than the alert limits, when no line has arrived for `--patience` seconds, and at the end of the stream.
 """
 
 import argparse
 import json
+import math
 import socket
 import sys
 import threading
@@ -36,17 +37,7 @@ class Newest:
         self.ended = True
 
 
-HOLD_ON = {
-    "assignment_ambiguous",
-    "grasp_weak",
-    "inconsistent",
-    "normal_weak",
-    "rig_bent",
-    "rig_drift",
-    "side_unknown",
-    "velocity_weak",
-}
-"""Flags of a track with which the controller does not move; a velocity just after a push is weak."""
+LEVELS = ("grasp_normal_m", "grasp_radial_m", "normal_rad")
 
 
 def command(record, heard_s, limits, now_s):
@@ -56,15 +47,16 @@ def command(record, heard_s, limits, now_s):
         return {"do": "hold", "why": f"no track for {silent_s:.1f} s"}
     if record["validity"] != "valid":
         return {"do": "hold", "why": f"the track is {record['validity']}"}
-    if set(record["flags"]) & HOLD_ON:
-        return {"do": "hold", "why": ", ".join(record["flags"])}
     ahead_s = now_s - record["stamp_s"]
     if not -limits.patience <= ahead_s <= limits.patience:
         return {"do": "hold", "why": f"the track is {ahead_s:.3g} s old"}
-    grasp = record["grasp"]
-    sd_m = sum(grasp["covariance"][i][i] for i in range(3)) ** 0.5
-    if not sd_m <= limits.grasp_m:
-        return {"do": "hold", "why": f"not accurate enough: {1000 * sd_m:.2f} mm"}
+    grasp, levels = record["grasp"], record.get("protection") or {}
+    off_m, across_m, tilt_rad = (levels.get(key) for key in LEVELS)  # null where there is none: the flags explain it
+    if None in (off_m, across_m, tilt_rad):
+        return {"do": "hold", "why": ", ".join(record["flags"]) or "nothing states how far it may be off"}
+    level_m = max(off_m, across_m)
+    if not (level_m <= limits.alert_limit_m and math.degrees(tilt_rad) <= limits.alert_limit_deg):
+        return {"do": "hold", "why": f"may be off by {1000 * level_m:.2f} mm, {math.degrees(tilt_rad):.2f} degrees"}
     point_m = [p + v * ahead_s for p, v in zip(grasp["point_m"], grasp["velocity_m_s"], strict=True)]
     return {
         "do": "follow",
@@ -73,7 +65,7 @@ def command(record, heard_s, limits, now_s):
         "grasp_m": point_m,
         "velocity_m_s": grasp["velocity_m_s"],
         "approach": [-each for each in record["pose"]["normal"]],
-        "sd_m": sd_m,
+        "level_m": level_m,
     }
 
 
@@ -82,7 +74,8 @@ def main():
     parser.add_argument("--to", default="127.0.0.1:5005", metavar="HOST:PORT", help="where the datagrams are sent")
     parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="datagrams a second")
     parser.add_argument("--patience", type=float, default=0.2, metavar="S", help="hold after so long without a line")
-    parser.add_argument("--grasp-m", type=float, default=0.003, help="standard deviation that is good enough")
+    parser.add_argument("--alert-limit-m", type=float, default=0.005, help="how far the grasp point may be off")
+    parser.add_argument("--alert-limit-deg", type=float, default=3.0, help="how far the normal may be off")
     limits = parser.parse_args()
     host, _, port = limits.to.rpartition(":")
     newest, tick_s = Newest(sys.stdin), time.monotonic()

@@ -82,13 +82,14 @@ def controlled(lines: str, *words: str) -> Controller:
     return Controller(commands, stderr.splitlines())
 
 
-def pose_record(shot: str = "a", grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 1e-3, **changes) -> dict:
-    full = [[(tilt_sd_rad**2 / 2 if row == column else 0.0) for column in range(7)] for row in range(7)]
-    grasp = [[(grasp_sd_m**2 / 3 if row == column else 0.0) for column in range(3)] for row in range(3)]
-    pose = {
-        "normal": [0.0, 0.6, -0.8],
-        "grasp_m": [0.1, 0.2, 0.5],
-        "covariance": {"full": full, "center": None, "grasp": grasp},
+def pose_record(shot: str = "a", level_m: float = 1e-3, level_rad: float = 0.02, **changes) -> dict:
+    pose = {"normal": [0.0, 0.6, -0.8], "grasp_m": [0.1, 0.2, 0.5]}
+    levels = {
+        "risk": 1e-5,
+        "grasp_normal_m": level_m,
+        "grasp_radial_m": 5e-4,
+        "normal_rad": level_rad,
+        "center_m": None,
     }
     record = {
         "schema": "ringpose/pose/2",
@@ -99,6 +100,7 @@ def pose_record(shot: str = "a", grasp_sd_m: float = 1e-4, tilt_sd_rad: float = 
         "reason": None,
         "flags": [],
         "pose": pose,
+        "protection": levels,
     }
     return record | changes
 
@@ -129,36 +131,29 @@ def without_normal() -> dict:
     return record | {"pose": record["pose"] | {"normal": None}}
 
 
-def with_covariance(covariance: object) -> dict:
-    record = pose_record()
-    return record | {"pose": record["pose"] | {"covariance": covariance}}
+def with_levels(**levels: object) -> dict:
+    record = pose_record(flags=["inconsistent"])
+    return record | {"protection": record["protection"] | levels}
 
 
 VERSION_1 = {"schema": "ringpose/pose/1"}
 
 HELD = {
-    "grasp point uncertain": (lambda: pose_record(grasp_sd_m=0.003), "accurate"),
-    "normal uncertain": (lambda: pose_record(tilt_sd_rad=0.06), "accurate"),
+    "grasp point uncertain": (lambda: pose_record(level_m=0.006), "6.00 mm"),
+    "normal uncertain": (lambda: pose_record(level_rad=0.06), "3.44 degrees"),
+    "no levels": (lambda: pose_record(protection=None, flags=["grasp_weak"]), "grasp_weak"),
+    "no levels, version 1": (lambda: pose_record(**VERSION_1, protection=None), "how far"),
+    "no level of the grasp point": (lambda: with_levels(grasp_radial_m=None), "inconsistent"),
+    "no level of the normal": (lambda: with_levels(normal_rad=None), "inconsistent"),
     "no pose": (lambda: pose_record(status="none", reason="the image is dark", pose=None), "the image is dark"),
     "status none": (lambda: pose_record(status="none"), "status"),
     "no normal": (without_normal, "normal_weak"),
-    "contradiction": (lambda: pose_record(flags=["inconsistent"], reason="no single part"), "no single part"),
-    "weak normal": (lambda: pose_record(flags=["normal_weak"]), "normal_weak"),
-    "weak grasp point": (lambda: pose_record(status="degraded", flags=["grasp_weak"]), "grasp_weak"),
-    "lasers unclear": (lambda: pose_record(status="degraded", flags=["assignment_ambiguous"]), "assignment_ambiguous"),
-    "rig bent": (lambda: pose_record(status="degraded", flags=["rig_bent"]), "rig_bent"),
-    "rig drifts": (lambda: pose_record(status="degraded", flags=["rig_drift"]), "rig_drift"),
     "rig has changed": (lambda: pose_record(rig_health={"left": 0.4, "right": None, "middle": 7.5}), "moved"),
     "rig has changed, version 1": (lambda: pose_record(**VERSION_1, laser_health={"left": 7.5}), "moved"),
-    "relabelled, version 1": (lambda: pose_record(**VERSION_1, flags=["relabelled"]), "relabelled"),
     "other frame": (lambda: pose_record(frame="tool"), "frame"),
     "old": (lambda: pose_record(stamp_s=time.time() - 2000), "old"),
     "from the future": (lambda: pose_record(stamp_s=time.time() + 2000), "old"),
-    "no covariance": (lambda: with_covariance(None), "covariance"),
-    "null variance": (lambda: with_covariance({"full": [[None] * 7] * 7, "grasp": [[1e-8] * 3] * 3}), "covariance"),
-    "negative variance": (lambda: with_covariance({"full": [[1e-8] * 7] * 7, "grasp": [[-1.0] * 3] * 3}), "covariance"),
     "predicted": (lambda: pose_record(schema="ringpose/track/1", shot=None, validity="predicted"), "predicted"),
-    "short covariance": (lambda: with_covariance({"full": [], "grasp": [[1e-8] * 3] * 3}), "covariance"),
 }
 
 
@@ -166,7 +161,8 @@ HELD = {
 def test_the_controller_holds_if_a_record_is_not_usable(case):
     make, why = HELD[case]
     example = runpy.run_path(str(EXAMPLES / "controller.py"))
-    limits = argparse.Namespace(frame="camera", max_age=600.0, replay=False, grasp_m=0.002, tilt_rad=0.05, health=3.0)
+    limits = argparse.Namespace(frame="camera", max_age=600.0, replay=False, health=3.0)
+    limits.alert_limit_m, limits.alert_limit_deg = 0.005, 3.0
 
     command = example["command"](example["record_in"](json.dumps(make())), limits, time.time())
 
@@ -183,7 +179,11 @@ BROKEN = [
     json.dumps(pose_record())[:200],
     "[" * 100_000,
     "\udcff",
-    *(json.dumps({key: value for key, value in pose_record().items() if key != left}) for left in pose_record()),
+    *(
+        json.dumps({key: value for key, value in pose_record().items() if key != left})
+        for left in pose_record()
+        if left != "protection"
+    ),
     *(
         json.dumps(pose_record(**change))
         for change in (
@@ -200,10 +200,12 @@ BROKEN = [
             {"rig_health": {"left": math.nan}},
             {"pose": []},
             {"pose": {}},
-            {"pose": {"grasp_m": [1, 2], "normal": None, "covariance": None}},
-            {"pose": {"grasp_m": [1, 2, "3"], "normal": None, "covariance": None}},
-            {"pose": {"grasp_m": [1, 2, 3], "normal": [0, 0, math.nan], "covariance": None}},
-            {"pose": {"grasp_m": [1, 2, 3], "normal": [0, 0, -1], "covariance": {}}},
+            {"pose": {"grasp_m": [1, 2], "normal": None}},
+            {"pose": {"grasp_m": [1, 2, "3"], "normal": None}},
+            {"pose": {"grasp_m": [1, 2, 3], "normal": [0, 0, math.nan]}},
+            {"protection": {}},
+            {"protection": pose_record()["protection"] | {"normal_rad": -1.0}},
+            {"protection": pose_record()["protection"] | {"grasp_normal_m": "1"}},
             {"pose": pose_record()["pose"] | {"normal": [0, 0, 0]}},
             {"pose": pose_record()["pose"] | {"normal": [0, 0, -7]}},
             {"pose": pose_record()["pose"] | {"grasp_m": [100, 200, 500]}},

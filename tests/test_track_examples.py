@@ -25,8 +25,8 @@ def track_record(**changes) -> dict:
         "grasp": {
             "point_m": [0.1, 0.2, 0.5],
             "velocity_m_s": [0.01, 0.0, 0.0],
-            "covariance": [[1e-8 * (i == j) for j in range(6)] for i in range(6)],
         },
+        "protection": {"risk": 1e-5, "grasp_normal_m": 1e-3, "grasp_radial_m": 1e-3, "normal_rad": 0.02},
     }
     return {**record, **changes}
 
@@ -36,7 +36,7 @@ def bridge() -> dict:
     return runpy.run_path(str(EXAMPLES / "track_to_udp.py"))
 
 
-LIMITS = argparse.Namespace(patience=60.0, grasp_m=0.003)
+LIMITS = argparse.Namespace(patience=60.0, alert_limit_m=0.005, alert_limit_deg=3.0)
 
 
 def test_a_valid_track_is_followed_to_where_the_grasp_point_is_now(bridge):
@@ -55,13 +55,13 @@ def test_a_valid_track_is_followed_to_where_the_grasp_point_is_now(bridge):
         {"validity": "predicted"},
         {"validity": "stale"},
         {"validity": "lost", "pose": None, "grasp": None},
-        {"flags": ["side_unknown"]},
-        {"flags": ["inconsistent"]},
-        {"flags": ["rig_bent"]},
+        {"protection": None},
+        {"protection": {**track_record()["protection"], "grasp_radial_m": None}, "flags": ["inconsistent"]},
         {"stamp_s": 1.0},
-        {"grasp": {**track_record()["grasp"], "covariance": [[1e-4] * 6] * 6}},
+        {"protection": {**track_record()["protection"], "grasp_normal_m": 0.01}},
+        {"protection": {**track_record()["protection"], "normal_rad": 0.1}},
     ],
-    ids=["predicted", "stale", "lost", "side", "pushed", "bent", "old", "inaccurate"],
+    ids=["predicted", "stale", "lost", "unknown", "pushed", "old", "inaccurate", "tilted"],
 )
 def test_anything_else_is_a_hold(bridge, changes):
     record = track_record(**changes)

@@ -21,6 +21,7 @@ from ringpose.types.pose import (
     RingPose,
     RingVelocity,
 )
+from ringpose.types.protection import Protection
 from ringpose.types.rig import PlaneCorrection
 from ringpose.types.track import (
     Attempt,
@@ -67,6 +68,18 @@ def complete_pose(rng: np.random.Generator) -> RingPose:
     )
 
 
+def protection() -> Protection:
+    """Levels of all but the centre."""
+    return Protection(
+        risk=1e-5,
+        uncovered=1e-6,
+        grasp_normal_m=0.002,
+        grasp_radial_m=0.001,
+        normal_rad=0.03,
+        center_m=np.full(3, math.inf),
+    )
+
+
 def complete_measurement(rng: np.random.Generator) -> RingMeasurement:
     """A measurement with two nuisance parameters."""
     return RingMeasurement(
@@ -91,6 +104,7 @@ def complete_line(rng: np.random.Generator) -> PoseLine:
         complete_pose(rng),
         pose_stamp_s=1.7e9 + 0.05,
         velocity=RingVelocity(center_m_s=rng.normal(size=3), rate_rad_s=rng.normal(size=3), covariance=square(rng, 5)),
+        protection=protection(),
         measurement=complete_measurement(rng),
         priors=Priors(
             assumptions=Assumptions(
@@ -152,6 +166,7 @@ def complete_track(rng: np.random.Generator) -> TrackLine:
         pose=pose,
         flags=pose.flags,
         velocity=RingVelocity(center_m_s=rng.normal(size=3), rate_rad_s=rng.normal(size=3), covariance=square(rng, 5)),
+        protection=protection(),
         grasp=GraspState(point_m=rng.normal(size=3), velocity_m_s=rng.normal(size=3), covariance=square(rng, 6)),
         next_tick=NextTick(
             stamp_s=1.7e9 + 0.4, grasp_m=rng.normal(size=3), normal=pose.normal, covariance=square(rng, 5)

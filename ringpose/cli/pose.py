@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, ExitStack, nullcontext
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 from time import time
@@ -12,6 +12,7 @@ import typer
 
 from ringpose.cli import messages
 from ringpose.cli.app import (
+    ASSUMED,
     DEVICES,
     TRACK,
     Force,
@@ -25,6 +26,7 @@ from ringpose.cli.app import (
     RigFile,
     Verbose,
     app,
+    check_plausible,
     numbers,
     with_option_groups,
 )
@@ -42,8 +44,10 @@ from ringpose.cli.options.track import (
     track_writer,
 )
 from ringpose.errors import NO_POSE, DataError, UsageError
+from ringpose.types import plausible
 from ringpose.types.options import STDIN, Method
 from ringpose.types.plausible import Range
+from ringpose.types.protection import RISK
 
 if TYPE_CHECKING:
     from ringpose.cli.overlays import PosePictures
@@ -73,6 +77,16 @@ GraspNear = Annotated[
     ),
 ]
 
+Risk = Annotated[
+    float,
+    typer.Option(
+        "--risk",
+        metavar="PROBABILITY",
+        help="Probability with which an error may exceed its protection level.",
+        rich_help_panel=ASSUMED,
+    ),
+]
+
 Track = Annotated[
     bool,
     typer.Option(
@@ -93,6 +107,7 @@ def pose(
     frame: Frame = PoseFrame.CAMERA,
     ring: RingOptions,
     assumed: Assumed,
+    risk: Risk = RISK,
     grasp_near: GraspNear = None,
     channel: ImageChannel = None,
     camera: LiveCamera = None,
@@ -125,6 +140,8 @@ def pose(
     _check_method(method, assumed, robot_poses)
     _check_track(track, method, frame, settings)
     known = known_ring(ring, method, assumed.ring_tolerance)
+    check_plausible("--risk", risk, plausible.RISK)
+    options = replace(assumed.options, risk=risk)
     batch, loaded_rig = Batch(), read_rig(rig)
     if frame is not PoseFrame.CAMERA:
         check_frame(frame, loaded_rig, rig, robot_poses)
@@ -140,11 +157,11 @@ def pose(
         method=method,
         frame=frame,
         known=known,
-        options=assumed.options,
+        options=options,
         camera=motion,
         grasp_near_px=_place_in_image(grasp_near, loaded_rig.camera),
     )
-    in_stream = partial(Stream, setup, settings.options(assumed.options) if track else None, clock=time)
+    in_stream = partial(Stream, setup, settings.options(options) if track else None, clock=time)
     lines: AbstractContextManager[Iterator[Measured]]
     with batch, ExitStack() as stack:
         if is_live_robot:

@@ -187,6 +187,7 @@ class QuarterTurn:
             velocity=None if velocity is None else self._velocity(velocity, normal),
             measurement=None if measurement is None else self._measurement(measurement),
             plane_evidence=None if evidence is None else self._evidence(evidence),
+            separation=None if result.separation is None else result.separation.turned(self.rotation_3d),
         )
 
     def _pose(self, pose: RingPose) -> RingPose:

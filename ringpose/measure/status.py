@@ -6,6 +6,7 @@ The stages report findings; this module alone decides which flags they set, and 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -289,6 +290,19 @@ def flags_forbidding(quantity: str) -> PoseFlag:
     return PoseFlag(sum(rule.flag for rule in RULES if quantity in rule.forbids))
 
 
+@lru_cache(maxsize=256)
+def unbounded(flags: PoseFlag) -> frozenset[str]:
+    """The quantities whose error no protection level bounds with these flags, as what was seen may be something else.
+
+    A weak centre or an assumed radius has a level: a large one. Without a normal there is no centre either.
+    """
+    forbidden = frozenset[str]().union(*(rule.forbids for rule in RULES if rule.flag & flags & ~BOUNDED))
+    return forbidden | ({"center"} if "normal" in forbidden else set())
+
+
+BOUNDED = PoseFlag.CENTER_WEAK | PoseFlag.RADIUS_WEAK | PoseFlag.VELOCITY_WEAK | PoseFlag.RADIUS_UNVERIFIED
+"""Flags of what a protection level describes."""
+
 FINDING_OF_REJECTION = MappingProxyType(
     {
         "point": Finding.WRONG_POINT,
@@ -527,4 +541,6 @@ def with_findings(line: PoseLine, findings: Finding, **names: str) -> PoseLine:
     reason = sentences(findings, **names)
     flags = line.flags | flags_of(findings)
     pose = None if line.pose is None else replace(line.pose, flags=line.pose.flags | flags)
-    return replace(line, flags=flags, pose=pose, reason="; ".join(filter(None, [line.reason, reason])))
+    protection = None if line.protection is None else line.protection.without(unbounded(flags))
+    reason = "; ".join(filter(None, [line.reason, reason]))
+    return replace(line, flags=flags, pose=pose, protection=protection, reason=reason)

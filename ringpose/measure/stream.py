@@ -25,6 +25,7 @@ from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.measure import status
 from ringpose.pose.maximum_likelihood import most_likely_pose
+from ringpose.pose.protection import protection_of
 from ringpose.pose.rig_monitor import DriftMonitor, FormMonitor
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.assumptions import (
@@ -356,16 +357,21 @@ def pose_line(
     if located is not None and frame is not PoseFrame.CAMERA:
         result = _in_frame(result, located, frame)
     pose, rejected, of_rig = result.pose, result.rejected or source.rejected, status.findings_of_rig(rig)
+    flags = result.flags | status.flags_of(status.findings_of(source, rejected) | of_rig)
+    protection = None
+    if result.separation is not None and isinstance(pose, RingPose):
+        protection = protection_of(result.separation, pose, options.risk, flags)
     end_s = perf_counter()
     return PoseLine(
         shot=source.shot,
         stamp_s=source.stamp_s,
         pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
         pose=pose if isinstance(pose, RingPose) else None,
-        flags=result.flags | status.flags_of(status.findings_of(source, rejected) | of_rig),
+        flags=flags,
         reason=status.reason_of(result, source, of_rig),
         frame=frame,
         velocity=result.velocity,
+        protection=protection,
         measurement=result.measurement,
         priors=result.priors,
         lasers=result.lasers,
@@ -394,7 +400,8 @@ def _in_frame(result: PoseResult, camera: CameraMotion, frame: PoseFrame) -> Pos
     frame_from_camera, root = where
     velocity = None if result.velocity is None else velocity_in_frame(result.velocity, result.pose, frame_from_camera)
     pose = with_camera_error(pose_in_frame(result.pose, frame_from_camera), frame_from_camera[:3, 3], root)
-    return replace(result, pose=pose, velocity=velocity)
+    separation = None if result.separation is None else result.separation.turned(frame_from_camera[:3, :3])
+    return replace(result, pose=pose, velocity=velocity, separation=separation)
 
 
 def estimate_pose(

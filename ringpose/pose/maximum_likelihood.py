@@ -45,6 +45,7 @@ from ringpose.estimate.explanation import (
 from ringpose.estimate.factors import Prior
 from ringpose.estimate.hypotheses import edge_evidence
 from ringpose.estimate.measurements import Measurements, measurements_of
+from ringpose.estimate.separation import solution_separation
 from ringpose.estimate.solver import Estimate
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
@@ -182,8 +183,14 @@ def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
     if not measured.has_covariances:
         return replace(result, pose=pose), findings | Finding.NO_ERRORS | _open_velocity(best)
     velocity, of_velocity = _velocity(best, pose_quantities, findings)
-    measurement = ring_measurement(estimate, measured, pose_quantities)
-    return replace(result, pose=pose, velocity=velocity, measurement=measurement), findings | of_velocity
+    result = replace(
+        result,
+        pose=pose,
+        velocity=velocity,
+        measurement=ring_measurement(estimate, measured, pose_quantities),
+        separation=solution_separation(best, pose_quantities),
+    )
+    return result, findings | of_velocity
 
 
 def _why_nothing(best: Explanation) -> NoPose:

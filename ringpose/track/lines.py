@@ -1,5 +1,6 @@
 """The record of a track at one instant: pose, velocity, grasp point, and how far they may be trusted."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from math import nan, sqrt
@@ -19,6 +20,7 @@ from ringpose.geometry.rotations import tilt_basis
 from ringpose.measure.status import flags_of
 from ringpose.track.explanations import Track, TrackOptions
 from ringpose.track.filters import Bank, mixed, predict
+from ringpose.track.protection import ShotLevels, track_protection
 from ringpose.track.states import RingStates, center_velocity, jacobians, perturbed, retract
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.finding import NOTHING, Finding
@@ -63,12 +65,13 @@ def track_line(
     rig: str,
     options: TrackOptions,
     camera: CameraMotion | None,
+    shots: Sequence[ShotLevels] = (),
 ) -> TrackLine:
     """The record at `stamp_s`, with the prediction for `next_stamp_s` (default: one interval later).
 
     `findings`: what the newest measurement shows about the track. `flags`: those of the newest measurement that was
     used, as far as they concern the track. `camera`: its motion, if that is known; the track is then in the robot's
-    base frame.
+    base frame. `shots`: the levels of the last measurements that were used.
     """
     stamp_s = max(track.stamp_s, stamp_s) if track.banks else stamp_s  # that of the track if the instant is unknown
     lost = TrackLine(
@@ -95,9 +98,11 @@ def track_line(
         findings |= Finding.TRACK_CONTRADICTED
     flags |= flags_of(findings)
     models, chosen, gripper = bank.models, bank.best, options.gripper
+    pose = _pose(reported, flags)
     return replace(
         lost,
-        pose=_pose(reported, flags),
+        pose=pose,
+        protection=track_protection(pose, shots, flags, side_known_to=1.0 - float(weights.max())),
         velocity=RingVelocity(
             center_m_s=reported.value[_VELOCITY],
             rate_rad_s=reported.value[_RATES],

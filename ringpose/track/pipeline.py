@@ -20,6 +20,7 @@ from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
 from ringpose.track.lines import track_line
 from ringpose.track.observation import Observation, observation
+from ringpose.track.protection import ShotLevels, shot_levels
 from ringpose.track.stream_clock import Arrival, StreamClock
 from ringpose.types.finding import NOTHING, Finding
 from ringpose.types.pose import PoseFlag, PoseLine, RadiusPrior, RingMeasurement
@@ -59,6 +60,7 @@ class _Entry(NamedTuple):
     observed: Observation
     radius: RadiusPrior | None
     flags: PoseFlag
+    levels: ShotLevels | None
     track: Track
     fusion: Fusion
 
@@ -85,6 +87,7 @@ class Tracker:
         self._base = Track()
         self._base_stamp_s = -float("inf")
         self._base_flags = PoseFlag(0)
+        self._base_levels: ShotLevels | None = None
         self._entries: list[_Entry] = []
         self._attempts: list[Attempt] = []
         self._clock = StreamClock(self.options.lost_after_s)
@@ -117,18 +120,28 @@ class Tracker:
     def start_anew(self) -> None:
         """Forget what was measured, as its stamps are not of the same clock as those of the records that follow."""
         self._base, self._base_stamp_s = Track(resets=self.track.resets + 1), -float("inf")
-        self._base_flags, self._entries = PoseFlag(0), []
+        self._base_flags, self._base_levels, self._entries = PoseFlag(0), None, []
         self._clock = StreamClock(self.options.lost_after_s)
 
     def line_at(self, stamp_s: float, next_stamp_s: float | None = None, now_s: float = float("inf")) -> TrackLine:
         """The record of the track at an instant, and the attempts since the last one; `now_s` is the host's clock."""
         attempts, self._attempts = tuple(self._attempts), []
-        used = [entry.flags for entry in self._entries if entry.fusion.status is FusionStatus.FUSED]
-        flags = (used[-1] if used else self._base_flags) & LASTING_FLAGS
+        used = [entry for entry in self._entries if entry.fusion.status is FusionStatus.FUSED]
+        flags = (used[-1].flags if used else self._base_flags) & LASTING_FLAGS
+        levels = [entry.levels for entry in used] or [self._base_levels]
         is_contradicted = bool(attempts) and attempts[-1].fusion_status is FusionStatus.REJECTED_GATE
         findings = Finding.TRACK_CONTRADICTED if is_contradicted or self._clock.is_in_doubt else NOTHING
         line = track_line(
-            self.track, stamp_s, next_stamp_s, attempts, findings, flags, self._hash, self.options, self.camera
+            self.track,
+            stamp_s,
+            next_stamp_s,
+            attempts,
+            findings,
+            flags,
+            self._hash,
+            self.options,
+            self.camera,
+            [each for each in levels if each is not None],
         )
         latency_s = now_s - line.measurement_stamp_s
         return replace(line, latency_s=latency_s) if 0.0 <= latency_s < self.options.lost_after_s else line
@@ -198,7 +211,9 @@ class Tracker:
             return Fusion(FusionStatus.REJECTED_COVARIANCE, reason=self.camera.why_not_at(stamp_s))
         observed = observation(line, measurement, common, inflation, camera)
         radius = None if line.priors is None else line.priors.radius
-        status, ratio, _ = self._inserted(_Entry(observed, radius, line.flags, self._base, Fusion(FusionStatus.NONE)))
+        levels = shot_levels(line, "camera" if self.camera is None else "base")
+        entry = _Entry(observed, radius, line.flags, levels, self._base, Fusion(FusionStatus.NONE))
+        status, ratio, _ = self._inserted(entry)
         if status is FusionStatus.FUSED and stamp_s < newest_s:
             status = FusionStatus.FUSED_LATE
         self._forget()
@@ -222,7 +237,7 @@ class Tracker:
             first = self._entries.pop(0)
             self._base, self._base_stamp_s = first.track, first.observed.stamp_s
             if first.fusion.status is FusionStatus.FUSED:
-                self._base_flags = first.flags
+                self._base_flags, self._base_levels = first.flags, first.levels
         if isfinite(oldest_s):
             self._base_stamp_s = max(self._base_stamp_s, oldest_s)
 

@@ -5,6 +5,7 @@ from math import radians
 from typing import Annotated
 
 from ringpose.types import plausible
+from ringpose.types.protection import RISK
 from ringpose.types.record import Key
 
 
@@ -84,6 +85,8 @@ class AssumptionOptions:
     """Factor on the stability of the rig."""
     face_slope_deg: float = 0.0
     """Standard deviation of the slope of the ring's face."""
+    risk: float = RISK
+    """Probability with which an error may exceed its protection level."""
 
     def about_shot(self, stability: RigStability, *, still: bool) -> Assumptions:
         """The assumptions about a shot by a rig of this stability; `still`: whether the shot states that it was."""

@@ -168,6 +168,7 @@ STAMP_S = Range(
 
 # Studies, and rigs that are tried
 
+RISK = Range(quantity="risk of a protection level", lowest=1e-9, highest=0.1)
 SHARE = Range(quantity="share", lowest=0, highest=1, unit="a share")
 
 LASER_ANGLE_RAD = _radians("angle of the outer lasers", 0.001, 0.7)

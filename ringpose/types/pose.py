@@ -16,6 +16,7 @@ from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import Assumptions, MotionPrior, RigStability
 from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame
+from ringpose.types.protection import Protection, Separation
 from ringpose.types.record import Form, Key, Presence
 from ringpose.types.rig import PlaneCorrection
 
@@ -457,6 +458,8 @@ class PoseResult:
     plane_evidence: PlaneEvidence | None = None
     """Evidence for errors of the light planes, of all measurements if some of them contradict one ring; None for
     methods without residuals."""
+    separation: Separation | None = None
+    """The solutions under all hypotheses; None for methods without residuals."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -516,6 +519,12 @@ class PoseLine:
     ]
     velocity: Annotated[
         RingVelocity | None, Key("Velocity of the ring; null if the target is assumed to be still.")
+    ] = None
+    protection: Annotated[
+        Protection | None,
+        Key(
+            "How far the pose may be off, see below; null without a pose, and for methods other than `ml`.", added=True
+        ),
     ] = None
     measurement: Annotated[
         RingMeasurement | None,

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import PoseFlag, RingPose, RingVelocity, Status, status_of
+from ringpose.types.protection import Protection
 from ringpose.types.record import Form, Key, Presence
 
 
@@ -152,6 +153,14 @@ class TrackLine:
     frame: Annotated[Literal["camera", "base"], Key("Frame of all vectors.")]
     pose: Annotated[RingPose | None, Key("As in a pose line; its `method` is `track`.")] = None
     velocity: Annotated[RingVelocity | None, Key("As in a pose line.")] = None
+    protection: Annotated[
+        Protection | None,
+        Key(
+            "As in a pose line, from the covariances of the track and the levels of its last shots; null if these have "
+            "none.",
+            added=True,
+        ),
+    ] = None
     grasp: Annotated[GraspState | None, Key("The grasp point and its velocity.")] = None
     next_tick: Annotated[
         NextTick | None,

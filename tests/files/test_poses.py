@@ -32,8 +32,8 @@ def record(line: PoseLine, brief: bool = False) -> dict:
 
 KEYS = [
     "schema", "software", "shot", "stamp_s", "pose_stamp_s", "frame", "status", "reason", "flags", "pose", "velocity",
-    "measurement", "plane_evidence", "priors", "lasers", "rejected", "rig_health", "shots_dropped", "latency_s",
-    "stage_s", "lines_skipped", "rig",
+    "protection", "measurement", "plane_evidence", "priors", "lasers", "rejected", "rig_health", "shots_dropped",
+    "latency_s", "stage_s", "lines_skipped", "rig",
 ]  # fmt: skip
 """Of a pose line, in their order."""
 

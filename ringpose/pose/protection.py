@@ -1,0 +1,127 @@
+"""How far a pose may be off, at the risk that its user accepts: protection levels (ringpose-method(7), section 15)."""
+
+from bisect import bisect_left
+from dataclasses import replace
+from functools import partial
+from math import erfc, inf, log, pi, sqrt
+from statistics import NormalDist
+
+import numpy as np
+
+from ringpose.measure.status import unbounded
+from ringpose.types.arrays import Array, Float64
+from ringpose.types.pose import PoseFlag, RingPose
+from ringpose.types.protection import CENTER, INWARD, TILTS, Protection, Separation
+
+UNCOVERED_PROBABILITY = 1e-6
+"""Probability p_u of what no hypothesis covers."""
+
+
+def protection_level(
+    weight: Float64[Array, "hypothesis"],
+    difference: Float64[Array, "hypothesis"],
+    sigma: Float64[Array, "hypothesis"],
+    allowed: float,
+) -> float:
+    """The smallest level L that an error exceeds with the probability `allowed` = risk - p_u, Eq. (15.3).
+
+    sum_j w_j [Q((L - |d_j|) / s_j) + Q((L + |d_j|) / s_j)] <= risk - p_u, with the posterior probability w_j of each
+    hypothesis, its difference d_j from the accepted solution, which comes first, and its standard deviation s_j.
+    Infinite if there is none. By bisection: root finders of scipy.optimize take 0.4 s to import, longer than a command
+    that measures a shot.
+    """
+    if not allowed > 0.0 or not weight[0] > 0.0:  # or the accepted solution is impossible beside another one
+        return inf
+    distance, lowest = np.abs(difference), float(sigma[0]) * -NORMAL.inv_cdf(0.5 * min(allowed / float(weight[0]), 1.0))
+    for _ in range(2):  # from the level of the accepted solution alone, then from the highest of any one alone
+        # without what adds nothing even there: Q(x) <= exp(-x^2 / 2) / 2 for x >= 0
+        kept = weight * np.exp(-0.5 * (np.maximum(lowest - distance, 0.0) / sigma) ** 2) > NEGLIGIBLE * allowed
+        weight, distance, sigma = weight[kept], distance[kept], sigma[kept]
+        terms = [*zip(weight.tolist(), distance.tolist(), sigma.tolist(), strict=True)]
+        lowest = max([lowest, TINY_LEVEL, *(d - s * NORMAL.inv_cdf(allowed / w) for w, d, s in terms if w > allowed)])
+
+    def exceeded(step: int) -> float:
+        level = lowest * LEVEL_STEP**step
+        return sum(w * (upper_tail((level - d) / s) + upper_tail((level + d) / s)) for w, d, s in terms)
+
+    step = bisect_left(range(MAX_STEPS), -allowed, key=lambda step: -exceeded(step))
+    if not 0 < step < MAX_STEPS:
+        return lowest if step == 0 else inf
+    above, below = exceeded(step - 1), exceeded(step)  # between these two the logarithm is nearly linear
+    return lowest * LEVEL_STEP ** (step - log(allowed / below) / log(above / below) if below > 0.0 else step)
+
+
+def upper_tail(sigmas: float) -> float:
+    """Q: the probability that a standard normal number is above this."""
+    return 0.5 * erfc(sigmas * SQRT_HALF)
+
+
+NORMAL, SQRT_HALF = NormalDist(), sqrt(0.5)
+
+LEVEL_STEP, MAX_STEPS = 1.002, 1 << 12
+"""Ratio of the levels that are compared, and their number: a level is at most 3600 times that of the first bound."""
+
+NEGLIGIBLE, TINY_LEVEL = 1e-6, 1e-12
+"""Share of the risk of what is left out in the search, and the smallest level: of exact data."""
+
+MAX_ANGLE_RAD = 0.5 * pi
+"""Level of the normal from which there is none: the linearisation of the tilts ends long before."""
+
+
+def protection_of(separation: Separation, pose: RingPose, risk: float, flags: PoseFlag) -> Protection:
+    """The levels of a pose at a risk, in the pose's frame, which is also that of the separation.
+
+    The variances are those of the pose; the hypotheses add to them. Quantities that the flags forbid have no level.
+    """
+    allowed, weight = risk - UNCOVERED_PROBABILITY, separation.weight
+    levels, withheld, difference = partial(protection_level, weight), unbounded(flags), separation.difference
+    found = Protection(
+        risk=risk,
+        uncovered=UNCOVERED_PROBABILITY,
+        grasp_normal_m=inf,
+        grasp_radial_m=inf,
+        normal_rad=inf,
+        center_m=np.full(3, inf),
+    )
+    variances = np.einsum("hqq->hq", separation.covariance)
+    if pose.covariance_grasp_m2 is not None and "grasp" not in withheld:
+        own = (separation.across @ pose.covariance_grasp_m2 @ separation.across.T).diagonal()
+        along, radial = (levels(difference[:, row], _sigmas(variances[:, row], own[row]), allowed) for row in (0, 1))
+        found = replace(found, grasp_normal_m=along, grasp_radial_m=radial)
+    if pose.covariance is not None and "normal" not in withheld and bool(np.isfinite(pose.covariance[:2, :2]).all()):
+        smaller, larger = np.linalg.eigvalsh(pose.covariance[:2, :2]).tolist()
+        sigma = _sigmas(np.linalg.eigvalsh(separation.covariance[:, TILTS, TILTS])[:, 1], larger)
+        angle = levels(np.linalg.norm(difference[:, TILTS], axis=1), sigma, allowed / in_plane(smaller / larger))
+        found = replace(found, normal_rad=angle if angle < MAX_ANGLE_RAD else inf)
+    if pose.covariance_center_m2 is not None and "center" not in withheld:
+        inward, own = -separation.across[1], pose.covariance_center_m2
+        sigma = _sigmas(variances[:, INWARD], inward @ own @ inward)
+        # the linear error of the centre is that of a curvature k: the radius is off by x R / (1 - x) for x = dk / k
+        share = levels(difference[:, INWARD], sigma, allowed) / separation.radius_m
+        if share < 1.0:
+            axes = [
+                levels(difference[:, row], _sigmas(variances[:, row], own[axis, axis]), allowed)
+                for axis, row in enumerate(range(CENTER.start, CENTER.stop))
+            ]
+            found = replace(found, center_m=np.array(axes) / (1.0 - share))
+    return found
+
+
+def _sigmas(variance: Float64[Array, "hypothesis"], reported: float) -> Float64[Array, "hypothesis"]:
+    """Standard deviations under each hypothesis: what the pose reports beyond the accepted solution adds to all."""
+    total = variance + max(reported - float(variance[0]), 0.0)
+    total[0] = reported
+    sigmas: Float64[Array, "hypothesis"] = np.sqrt(total)
+    return sigmas
+
+
+def in_plane(ratio: float) -> float:
+    """How many times as often a Gaussian in the plane exceeds a level as it does along its longer axis, at most.
+
+    `ratio`: of its variances. 1 / sqrt(1 - ratio) far out, and sqrt(pi / 2) times the level in sigmas for a circle.
+    """
+    return 1.0 / sqrt(max(1.0 - ratio, CIRCLE))
+
+
+CIRCLE = 1.0 / 36.0
+"""The factor of a circle, sqrt(pi / 2) L / s, is at most 6 down to a risk of 1e-6."""
