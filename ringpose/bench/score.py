@@ -38,6 +38,9 @@ JUDGED = MappingProxyType({"center": 3, "normal": 2, "grasp": 2, "radius_inner":
 Those of the grasp point are along the normal and radial, those of the velocity the centre's and two rates.
 """
 
+AXES = MappingProxyType({"center": ("x", "y", "z"), "grasp": ("normal", "radial")})
+"""Axes of quantities, whose distances are computed, too."""
+
 WITH_NEES = ("center", "normal", "velocity")
 
 FLAGS_OF_QUANTITY: Mapping[str, PoseFlag] = MappingProxyType(
@@ -117,6 +120,23 @@ class Judgement(StrEnum):
     """Not judged, because it is reported without a covariance."""
 
 
+PROTECTED = ("grasp_normal_m", "grasp_radial_m", "normal_rad", "center_x_m", "center_y_m", "center_z_m")
+"""The quantities that have a protection level."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Level:
+    """The error of a quantity beside its protection level."""
+
+    error: Annotated[float, Key("Absolute error; null where there is no ring.", null=math.inf, least=0.0)]
+    level: Annotated[float, Key("Protection level; null if it is unavailable.", null=math.inf, least=0.0)]
+
+    @property
+    def is_misleading(self) -> bool:
+        """Whether the error exceeds the level."""
+        return self.error > self.level
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
     """The comparison of one shot with the truth, for one method."""
@@ -141,7 +161,12 @@ class Score:
         Mapping[str, float],
         Key("Mahalanobis distances from the truth, of the quantities with a covariance.", needed=True),
     ] = field(default_factory=dict)
-    """By the names of `JUDGED`."""
+    """By the names of `JUDGED`, and of the axes in `AXES`."""
+    levels: Annotated[
+        Mapping[str, Level],
+        Key("Errors beside their protection levels, of a line that has these.", added=True),
+    ] = field(default_factory=dict)
+    """By the names of `PROTECTED`."""
     gross: Annotated[
         tuple[str, ...],
         Key(
@@ -252,6 +277,13 @@ def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Came
         for name, (error, covariance) in compared.items()
         if covariance is not None and np.isfinite(covariance).all() and np.isfinite(error).all()
     }
+    distances |= {
+        f"{name}_{axis}": abs(float(compared[name][0][row])) / math.sqrt(covariance[row, row])
+        for name, axes in AXES.items()
+        if name in distances and (covariance := compared[name][1]) is not None
+        for row, axis in enumerate(axes)
+        if covariance[row, row] > 0.0
+    }
     by_quantity = dict(_judgements(truth_now, line, compared, distances, camera))
     judgements = {name: judgement for name, (judgement, _) in by_quantity.items()}
     return scored(
@@ -260,6 +292,7 @@ def score(truth: Truth, estimate: PoseEstimate | None, method: str, camera: Came
         errors=_errors(truth_now, line.pose, compared, distances),
         judgements=judgements,
         distances=distances,
+        levels=dict(_levels(truth_now, line, compared)),
         gross=tuple(name for name, (_, gross) in by_quantity.items() if gross),
         assumptions=assumptions_of(line),
         latency_s=line.latency_s if math.isfinite(line.latency_s) else None,
@@ -318,6 +351,24 @@ def _reported(line: PoseLine) -> list[str]:
     velocity_m_s = np.array(np.nan) if velocity is None else velocity.center_m_s
     values = (pose.center_m, pose.normal, pose.grasp_m, pose.radius_inner_m, pose.radius_outer_m, velocity_m_s)
     return [name for name, value in zip(JUDGED, values, strict=True) if np.isfinite(value).all()]
+
+
+def _levels(truth: Truth, line: PoseLine, compared: Compared) -> Iterator[tuple[str, Level]]:
+    """Each quantity with a level beside its error; without a ring every error is infinite."""
+    pose, protection = line.pose, line.protection
+    if pose is None or protection is None:
+        return
+    levels = (protection.grasp_normal_m, protection.grasp_radial_m, protection.normal_rad)
+    errors = dict.fromkeys(PROTECTED, math.inf if truth.expect == "no_target" else math.nan)
+    if "grasp" in compared:
+        errors["grasp_normal_m"], errors["grasp_radial_m"] = np.abs(compared["grasp"][0]).tolist()
+    if "normal" in compared and truth.normal is not None:
+        errors["normal_rad"] = float(angle_between(pose.normal[None], truth.normal[None])[0])
+    if "center" in compared:
+        errors |= dict(zip(PROTECTED[3:], np.abs(compared["center"][0]).tolist(), strict=True))
+    for name, level in zip(PROTECTED, (*levels, *protection.center_m.tolist()), strict=True):
+        if not (math.isnan(errors[name]) and math.isfinite(level)):  # else the truth does not have it
+            yield name, Level(error=0.0 if math.isnan(errors[name]) else errors[name], level=level)
 
 
 def _judgements(

@@ -51,8 +51,16 @@ from ringpose.types.scene import RingView, Scene
 from ringpose.types.target import Box, Part, RingForm
 from ringpose.types.truth import Truth
 
-_FEATURES, _COMMON = 2, 3
-"""First numbers of the seeds of shots and of their common errors; images have 0 and 1."""
+_FEATURES, _COMMON, _FAULTS = 2, 3, 4
+"""First numbers of the seeds of shots, of their common errors, and of their faults; images have 0 and 1."""
+
+END_PX, GHOST_PX, EDGE_PX = (2.0, 40.0), (3.0, 40.0), (1.5, 10.0)
+"""Ranges of displacements by faults, to either side; all are log-uniform, as small ones contradict nothing ..."""
+
+BEHIND_M = (0.003, 0.1)
+"""... and so is the distance of a surface behind the face."""
+
+TAIL_FREEDOM, SIGMA_FACTOR = 4.0, 1.3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +85,8 @@ class Deviations:
     """... and the range of that surface's distance behind the face."""
     missing_share: float = 0.0
     """Probability that a stripe is not detected."""
+    faults: tuple[str, ...] = ()
+    """Of `DRAWN_FAULTS`, in addition."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -175,6 +185,9 @@ def draw_detection(
     shot_motion = ShotMotion(scene, view, appearance.arcs, appearance.axes, motion, start_s)
     moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
+    faults = np.random.default_rng([_FAULTS, *rng.bit_generator.random_raw(2).tolist()]) if deviations.faults else None
+    if faults is not None:
+        outliers, unit = _with_faults(outliers, unit, deviations.faults, appearance.seen, faults)
 
     break_points: BreakPoints | NoBreakPoints = (
         NoBreakPoints.NO_RING if view.target == "body" else NoBreakPoints.NO_STRIPE
@@ -189,11 +202,13 @@ def draw_detection(
         seen = np.isfinite(stripes.start_px[:, 0]) & appearance.seen & ~outliers.missing
         if seen.any():
             noise = unit[5:].reshape(lasers, 4) * deviations.noise
-            points = _drawn_points(stripes, appearance, noise, outliers.shift_px, seen)
+            points = _drawn_points(_displaced(stripes, outliers.ghost_px), appearance, noise, outliers.shift_px, seen)
             stamp = np.where(seen, stamp_s + shown_s, np.nan)
             break_points = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
             edges = _drawn_edges(scene, appearance, common, shot_motion, middle_s, stamp_s, unit, moving=moving)
+            if faults is not None:
+                edges = _with_wrong_edges(edges, deviations.faults, faults)
             beyond = shot_motion._replace(arcs=shot_motion.arcs.at_opposite_arc())
             stripes = stripe_ends(scene.ring, appearance, common, beyond, when_s, outliers.behind_m)
             seen &= np.isfinite(stripes.start_px[:, 0])
@@ -225,6 +240,8 @@ class _Outliers(NamedTuple):
     shift_px: Float64[Array, "laser edge=2"]
     behind_m: Float64[Array, "laser"]
     missing: Bool[Array, "laser"]
+    ghost_px: Float64[Array, "laser xy=2"]
+    """Displacement of a stripe with its ends."""
 
 
 def _outliers(deviations: Deviations, picks: Float64[Array, "laser 7"]) -> _Outliers:
@@ -240,7 +257,66 @@ def _outliers(deviations: Deviations, picks: Float64[Array, "laser 7"]) -> _Outl
         shift_px=np.where(displaced, shift_px, 0.0),
         behind_m=np.where(picks[:, 4] < deviations.background_share, behind_m, 0.0),
         missing=picks[:, 6] < deviations.missing_share,
+        ghost_px=np.zeros((len(picks), 2)),
     )
+
+
+def _with_faults(
+    outliers: _Outliers,
+    unit: Float64[Array, "number"],
+    faults: tuple[str, ...],
+    seen: Bool[Array, "laser"],
+    rng: np.random.Generator,
+) -> tuple[_Outliers, Float64[Array, "number"]]:
+    """The outliers and the standard normal numbers of a shot with faults, each of them at a stripe of its own."""
+    shift_px, behind_m = outliers.shift_px.copy(), outliers.behind_m.copy()
+    ghost_px, missing = outliers.ghost_px.copy(), outliers.missing.copy()
+    free = rng.permutation(np.flatnonzero(seen)).tolist()
+    for fault in (each for each in faults if each in ("end", "ends", "stripe", "ghost", "missing")):
+        laser = free.pop() if free else 0
+        if fault == "end":
+            shift_px[laser, int(rng.integers(2))] = _log_uniform(END_PX, rng)
+        elif fault == "ends":
+            shift_px[laser] = _log_uniform(END_PX, rng), _log_uniform(END_PX, rng)
+        elif fault == "stripe":
+            behind_m[laser] = abs(_log_uniform(BEHIND_M, rng))
+        elif fault == "ghost":
+            ghost_px[laser] = _log_uniform(GHOST_PX, rng), _log_uniform(GHOST_PX, rng)
+        else:
+            missing[laser] = True
+    if "tails" in faults:
+        heavy = rng.standard_t(TAIL_FREEDOM, len(unit) - 5) * sqrt((TAIL_FREEDOM - 2.0) / TAIL_FREEDOM)
+        unit = np.concatenate([unit[:5], heavy])
+    if "sigmas" in faults:
+        unit = np.concatenate([unit[:5], SIGMA_FACTOR * unit[5:]])
+    displaced = outliers.displaced | (shift_px != 0.0)
+    return _Outliers(displaced, shift_px, behind_m, missing, ghost_px), unit
+
+
+def _log_uniform(bounds: tuple[float, float], rng: np.random.Generator) -> float:
+    """A number whose logarithm is uniform between those of the bounds, with a random sign."""
+    return float(np.exp(rng.uniform(*np.log(bounds))) * rng.choice([-1.0, 1.0]))
+
+
+def _displaced(stripes: StripeEnds, shift_px: Float64[Array, "laser xy=2"]) -> StripeEnds:
+    """The stripes displaced in the image, with their ends."""
+    return stripes._replace(
+        true_px=stripes.true_px + shift_px[:, None],
+        start_px=stripes.start_px + shift_px,
+        end_px=stripes.end_px + shift_px,
+    )
+
+
+def _with_wrong_edges(
+    edges: RingEdgePoints | None, faults: tuple[str, ...], rng: np.random.Generator
+) -> RingEdgePoints | None:
+    """The visible edges, of which one is displaced or all are unlit, if the faults state so."""
+    if edges is None or "unlit" in faults:
+        return None
+    if "edge" not in faults:
+        return edges
+    shift_px = np.where(edges.edge == int(rng.integers(2)), _log_uniform(EDGE_PX, rng), 0.0)
+    return replace(edges, position_px=edges.position_px + shift_px[:, None] * edges.normal)
 
 
 # Drawing
@@ -416,6 +492,7 @@ def _truth(
     points = [f"{names[laser]}.{EDGES[edge]}" for laser, edge in np.argwhere(outliers.displaced).tolist()]
     wrong = {
         "displaced": ",".join(points),
+        "ghost": ",".join(names[laser] for laser in np.flatnonzero(outliers.ghost_px.any(axis=1))),
         "background": ",".join(names[laser] for laser in np.flatnonzero(outliers.behind_m)),
         "missing": ",".join(names[laser] for laser in np.flatnonzero(outliers.missing)),
     }

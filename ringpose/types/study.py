@@ -229,6 +229,13 @@ class Factors:
         _Number,
         Key("Time from a shot to its line.", plausible=plausible.LATENCY_S, presence=Presence.IF_KNOWN),
     ] = None
+    faults: Annotated[
+        _Text,
+        Key(
+            "What is wrong in each shot, see below: names joined by `+`, or `none`; needs `level: features`.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = None
     surfaces: Annotated[
         _Text,
         Key("Names of the study's `surfaces`, joined by `+`; needs `level: images`.", presence=Presence.IF_KNOWN),
@@ -256,7 +263,19 @@ NUMBERS: Mapping[str, Range] = {
 }
 """The factors that are numbers, each with its plausible range."""
 
-ONLY_FEATURES = ("displaced_share", "background_share", "missing_share")
+FAULTS = "faults"
+"""The factor whose values are names of faults, joined by `+`."""
+
+NO_FAULT = "none"
+"""Its value for a shot in which nothing is wrong."""
+
+DRAWN_FAULTS = ("end", "ends", "stripe", "ghost", "missing", "edge", "unlit", "tails", "sigmas")
+"""Faults of a shot's features, each of which happens once in a shot that has it: one end of a stripe is somewhere else
+on it, both are, a stripe lies on a surface behind the face, or is displaced with its ends, or missing; a visible edge
+is displaced, or all are unlit; errors have heavier tails (Student's t with four degrees of freedom, of the stated
+variance), or are 1.3 times as large as stated."""
+
+ONLY_FEATURES = ("displaced_share", "background_share", "missing_share", FAULTS)
 """Factors with which images cannot be rendered, only features drawn."""
 
 ONLY_CAPTURE = ("target_rate_rad_s", "nutation_rad", "drift_m_s", "floating_base", "lost_share", "latency_s")
@@ -268,8 +287,13 @@ CASE = "case"
 SURFACES = "surfaces"
 """The factor whose values are names of surfaces, joined by `+`."""
 
-TEXTS = ("light", "sequence", "target", SURFACES)
-"""The factors that are texts: a light, the laser steps of a shot, `ring` or `body`, and names of surfaces."""
+TEXTS = ("light", "sequence", "target", FAULTS, SURFACES)
+"""The factors that are texts: a light, the laser steps of a shot, `ring` or `body`, names of faults, and of
+surfaces."""
+
+RUN_FAULTS = ("plane", "form", "motion", "radius")
+"""Faults of all shots of a run: a light plane has turned by 0.1 to 1 degree, the ring's tolerance is 1 mm, the target
+moves four times as fast as assumed, the given radii are wrong by 1 to 10 %."""
 
 SWITCHES = ("whole", "rig_errors", "floating_base")
 """The factors that are true or false."""
@@ -431,6 +455,13 @@ ERRORS = (
 
 SIGMAS = ("sigma_center_m", "sigma_normal_rad", "sigma_radius_outer_m", "sigma_grasp_m")
 
+LEVELS = tuple(
+    f"{prefix}_{name}"
+    for name in ("grasp_normal_m", "grasp_radial_m", "normal_rad", "center_x_m", "center_y_m", "center_z_m")
+    for prefix in ("error", "level")
+)
+"""Absolute errors of a line with protection levels, beside these; no level where it is unavailable."""
+
 BOUNDS = ("bound_center_m", "bound_normal_rad", "bound_radius_outer_m")
 
 TIMES = ("simulate_s", "detect_s", "pose_s")
@@ -481,5 +512,5 @@ def columns(study: Study) -> dict[str, type]:
         **factors,
         **dict.fromkeys(TEXT_COLUMNS, str),
         **dict.fromkeys(("stripes", "break_points", "edge_points"), int),
-        **dict.fromkeys((*ERRORS, *SIGMAS, *BOUNDS, *_TRUTH_COLUMNS, *TIMES), float),
+        **dict.fromkeys((*ERRORS, *SIGMAS, *LEVELS, *BOUNDS, *_TRUTH_COLUMNS, *TIMES), float),
     }

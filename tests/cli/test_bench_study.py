@@ -174,7 +174,7 @@ def test_a_report_has_every_section_and_no_external_reference(folder):
         ("distance_m: [0.3, 0.5], ", "", "distance_m"),
         ("light: dim", "light: [dim, dusk]", "dusk"),
         ("[ml, paper]", "[ml, papr]", "papr"),
-        ("light: dim", "light: dim, rig_errors: true", "covariance"),
+        ("light: dim", "light: dim, faults: end+nothing", "nothing"),
         ("light: dim", "light: dim, missing_share: 1.5", "missing_share"),
         ("light: dim", "light: dim, ring_radius_outer_m: 0.02", "ring_radius_outer_m"),
         ("light: dim", "light: dim, sequence: 'off,9'", "sequence"),

@@ -11,6 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from ringpose.bench.design.report import draw_side_view
+from ringpose.bench.integrity import ALERT_LIMIT_M, ALERT_LIMIT_RAD, integrity_table, levels_in
+from ringpose.bench.score import Level
 from ringpose.bench.study.table import (
     Key,
     StudySummary,
@@ -53,6 +55,7 @@ def study_report(
     sections = [
         Section(title="Errors beside their Cramér-Rao bounds", pictures=[_errors(summary), _scatter(study, columns)]),
         Section(title="Consistency of the reported covariances", pictures=[_nees(summary), *_reliability(columns)]),
+        *_integrity(study, summary, rows),
         Section(
             title="Set-up",
             text=[_set_up_text(study), "Methods: " + ", ".join(summary.methods) + "."],
@@ -79,6 +82,49 @@ def _set_up_text(study: Study) -> str:
     shots = f"{study.shots} shots ({level}), {study.count} in each cell, seed {study.seed}"
     radii = f"ring with radii {1e3 * ring.radius_inner_m:g} and {1e3 * ring.radius_outer_m:g} mm"
     return "; ".join([shots, radii, *map(factor_text, study.factors), *violation_lines(study)]) + "."
+
+
+# Integrity
+
+STANFORD = (
+    ("grasp_normal_m", "grasp point along the normal (mm)", 1e3, ALERT_LIMIT_M),
+    ("grasp_radial_m", "grasp point across the face (mm)", 1e3, ALERT_LIMIT_M),
+    ("normal_rad", "normal (deg)", degrees(1), ALERT_LIMIT_RAD),
+)
+"""The quantities with an alert limit, with label, factor and limit."""
+
+
+def _integrity(study: Study, summary: StudySummary, rows: Rows) -> list[Section]:
+    """The table of integrity and the Stanford diagrams of the first method; nothing in a study without levels."""
+    if not any(max(each.leveled.values()) for each in summary.integrity.values()):
+        return []
+    stride, method = max(1, study.shots // MAX_POINTS), summary.methods[0]
+    levels = [levels_in(row) for row in rows() if row["method"] == method and int(row["shot"] or 0) % stride == 0]
+    table, pictures = integrity_table(summary.integrity, study.table), [stanford_diagram(levels)]
+    return [Section(title="Integrity", table=table, pictures=pictures)]
+
+
+def stanford_diagram(levels: Sequence[Mapping[str, Level]]) -> Picture:
+    """Protection levels against errors: below the diagonal an error is misleading, above the limit unavailable.
+
+    Named after the university that introduced it for satellite navigation.
+    """
+    figure = canvas(11, 4)
+    for axis, (name, label, factor, limit) in zip(figure.subplots(1, len(STANFORD)), STANFORD, strict=True):
+        points = np.array([[each[name].error, each[name].level] for each in levels if name in each]).reshape(-1, 2)
+        shown = factor * points[np.isfinite(points).all(axis=1)]
+        is_misleading = shown[:, 0] > shown[:, 1]
+        largest = max([4.0 * factor * limit, *shown.ravel().tolist()])
+        for which, color in ((~is_misleading, "C0"), (is_misleading, "C3")):
+            axis.plot(*np.maximum(shown[which], 1e-4 * largest).T, ".", color=color, markersize=3)
+        axis.plot([1e-4 * largest, largest], [1e-4 * largest, largest], "k-", linewidth=1)
+        axis.axhline(factor * limit, color="0.4", linestyle="--", linewidth=1)
+        axis.set(xscale="log", yscale="log", xlabel=f"error: {label}", xlim=(1e-4 * largest, largest))
+        axis.set_ylim(1e-4 * largest, largest)
+        axis.set_title(f"{int(is_misleading.sum())} of {len(shown)} misleading", fontsize=9)
+    figure.axes[0].set_ylabel("protection level")
+    caption = "Stanford diagram: below the diagonal an error is misleading, above the dashed alert limit unavailable."
+    return Picture(png=png_of(figure), caption=caption)
 
 
 # Data of the plots

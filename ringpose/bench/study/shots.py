@@ -40,6 +40,9 @@ from ringpose.types.rig import Rig
 from ringpose.types.scene import Approach, Scene
 from ringpose.types.study import (
     CASE,
+    DRAWN_FAULTS,
+    FAULTS,
+    NO_FAULT,
     SURFACES,
     Factor,
     Row,
@@ -51,8 +54,8 @@ from ringpose.types.study import (
 )
 from ringpose.types.truth import Truth
 
-_FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE = 10, 11, 12, 13, 14, 15, 16
-"""First numbers of the seeds of a shot's factors, scene, true rig, assumed radii, motion, turned plane and case."""
+_FACTORS, _SCENE, _RIG, _RADII, _MOTION, _PLANE, _CASE, _FAULT = 10, 11, 12, 13, 14, 15, 16, 17
+"""First numbers of the seeds of a shot's factors, scene, true rig, assumed radii, motion, plane, case, faults."""
 
 POSE_METHODS = {
     StudyMethod.ML: (Method.ML, False),
@@ -61,6 +64,9 @@ POSE_METHODS = {
     StudyMethod.PAPER_CONSTRAINED: (Method.PAPER_CONSTRAINED, False),
 }
 """The methods of `ringpose pose`, and whether they are given the radii."""
+
+PLANE_TILT_RAD, FORM_M, FASTER, RADIUS_SHARE = (0.0017, 0.0175), 1e-3, 4.0, (0.01, 0.1)
+"""What is wrong in shots with the faults `plane`, `form`, `motion` and `radius`."""
 
 _DEVIATIONS = ("rig_errors", "ring_tolerance_m", "displaced_share", "background_share", "missing_share")
 """Factors that are attributes of `Deviations`."""
@@ -135,16 +141,17 @@ def _drawn(factor: Factor, rng: np.random.Generator) -> Value:
 def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyShot:
     """Simulate a shot of a study: its images are rendered, or its features drawn."""
     start_s = perf_counter()
-    scene = scene_of(study, index, setting)
-    stated: Mapping[str, Any] = {name: setting[name] for name in _DEVIATIONS if name in setting}
-    deviations = Deviations(**stated)
-    turned = with_turned_plane(scene.rig, setting, np.random.default_rng([_PLANE, study.seed, index]))
+    drawn = _with_faults(setting, np.random.default_rng([_FAULT, study.seed, index]))
+    scene = scene_of(study, index, drawn)
+    stated: Mapping[str, Any] = {name: drawn[name] for name in _DEVIATIONS if name in drawn}
+    deviations = Deviations(faults=tuple(each for each in faults_in(setting) if each in DRAWN_FAULTS), **stated)
+    turned = with_turned_plane(scene.rig, drawn, np.random.default_rng([_PLANE, study.seed, index]))
     taken_by = replace(scene, rig=turned)
-    for name in str(setting[SURFACES]).split("+") if SURFACES in setting else ():
+    for name in str(drawn[SURFACES]).split("+") if SURFACES in drawn else ():
         taken_by = with_surface(taken_by, study.surfaces[name])
     run: list[tuple[Shot | Detection, Truth]]
     if study.level == "features":
-        run = [(drawn.detection, drawn.truth) for drawn in drawn_features(taken_by, deviations)]
+        run = [(one.detection, one.truth) for one in drawn_features(taken_by, deviations)]
     else:
         rig, form = run_errors(taken_by, np.random.default_rng([_RIG, study.seed, index]), deviations)
         taken_by = replace(taken_by, rig=rig, ring=replace(taken_by.ring, form=form if form.any() else None))
@@ -152,6 +159,23 @@ def study_shot(study: Study, index: int, setting: Mapping[str, Value]) -> StudyS
     measured_by = scene if study.rig is None else replace(scene, rig=study.rig)
     sources, truths = zip(*run, strict=True)
     return StudyShot(setting, measured_by, sources, truths[-1], perf_counter() - start_s)
+
+
+def faults_in(setting: Mapping[str, Value]) -> list[str]:
+    """Names of the faults of a shot."""
+    return [name for name in str(setting.get(FAULTS, NO_FAULT)).split("+") if name != NO_FAULT]
+
+
+def _with_faults(setting: Mapping[str, Value], rng: np.random.Generator) -> Mapping[str, Value]:
+    """The setting of a shot with the faults of its run, of which the estimator does not know."""
+    faults, numbers = faults_in(setting), dict[str, Any](setting)
+    if "plane" in faults:
+        numbers["plane_tilt_rad"] = float(np.exp(rng.uniform(*np.log(PLANE_TILT_RAD))))
+    if "form" in faults:
+        numbers["ring_tolerance_m"] = FORM_M
+    if "motion" in faults:
+        numbers |= {name: FASTER * numbers[name] for name in ("speed_sd_m_s", "rate_sd_rad_s") if name in numbers}
+    return numbers
 
 
 def scene_of(study: Study, index: int, setting: Mapping[str, Value]) -> Scene:
@@ -211,7 +235,10 @@ def options_of(study: Study, setting: Mapping[str, Value]) -> AssumptionOptions:
 
 def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     rig, truth, options = shot.scene.rig, shot.truth, options_of(study, shot.setting)
-    radii = radii_of(shot.scene, np.random.default_rng([_RADII, study.seed, index]))
+    rng = np.random.default_rng([_RADII, study.seed, index])
+    radii = radii_of(shot.scene, rng)
+    if "radius" in faults_in(shot.setting):
+        radii = replace(radii, radius_m=radii.radius_m * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(*RADIUS_SHARE)))
     result = run_result(shot.run, rig, study.methods, radii, options)
     shown = shown_by(shot.scene, {method in WITH_RADII for method in study.methods})
     points, edges = result.detection.break_points, result.detection.ring_edges
@@ -311,6 +338,7 @@ def _line_of_track(measured: Measured) -> PoseLine:
         reason=None if track.pose is not None else f"the track is {track.validity}",
         flags=track.flags,
         velocity=track.velocity,
+        protection=track.protection,
     )
 
 
@@ -368,6 +396,8 @@ def _scored(scored: Score, line: PoseLine, truth: Truth) -> Row:
             name for name in scored.judgements if not line.flags & FLAGS_OF_QUANTITY[name] & ~HARMLESS_FLAGS
         ),
         **{name: float(value) for name, value in scored.errors.items()},
+        **{f"error_{name}": each.error for name, each in scored.levels.items()},
+        **{f"level_{name}": each.level for name, each in scored.levels.items()},
     }
     pose = line.pose
     if pose is None:

@@ -9,9 +9,11 @@ from typing import Literal, cast
 
 import numpy as np
 
+from ringpose.bench.integrity import Integrity, integrity_table, levels_in
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import number
+from ringpose.types.protection import RISK
 from ringpose.types.study import BOUNDS, CASE, ERRORS, LIMITS, SIGMAS, TIMES, Factor, Row, Study, Value
 from ringpose.types.table import Table
 
@@ -107,6 +109,8 @@ class StudySummary:
     """Statistics by method and values of the factors."""
     columns: Mapping[tuple[str, Key], Statistics]
     """Statistics by method and value of the factor `table` alone."""
+    integrity: Mapping[tuple[str, str], Integrity]
+    """Counts of levels by method and value of that factor."""
 
     def all(self, method: str) -> Statistics:
         """The statistics of all shots of a method."""
@@ -118,15 +122,19 @@ def summarized(study: Study, rows: Iterable[Row]) -> StudySummary:
     by = tuple(factor.name for factor in study.grid if len(factor.values) > 1)
     cells: dict[tuple[str, Key], Statistics] = {}
     wide: dict[tuple[str, Key], Statistics] = {(method.value, ()): Statistics() for method in study.methods}
+    integrity: dict[tuple[str, str], Integrity] = {}
     for row in rows:
         method = str(row["method"])
+        if row["outcome"] != "error":
+            value = value_text(study.table, row[study.table]) if study.table and row[study.table] is not None else "all"
+            integrity.setdefault((method, value), Integrity()).add(levels_in(row))
         key = tuple(value for name in by if (value := row[name]) is not None)
         cells.setdefault((method, key), Statistics()).add(row)
         wide[method, ()].add(row)
         if study.table and (value := row[study.table]) is not None:
             wide.setdefault((method, (value,)), Statistics()).add(row)
     methods = tuple(method.value for method in study.methods)
-    return StudySummary(methods=methods, by=by, table=study.table, cells=cells, columns=wide)
+    return StudySummary(methods=methods, by=by, table=study.table, cells=cells, columns=wide, integrity=integrity)
 
 
 def names_in(cell: object) -> list[str]:
@@ -180,6 +188,9 @@ def study_text(study: Study, summary: StudySummary) -> str:
         blocks.append("\n".join(status_table(study, summary).lines(left=2)))
     cells = cell_table(summary, HEADINGS).lines(left=len(summary.by) + 1)
     blocks.append("\n".join(["errors beside their bounds, root mean square", *cells]))
+    if any(max(each.leveled.values()) for each in summary.integrity.values()):
+        title = f"integrity at a risk of {RISK if study.assumed is None else study.assumed.risk:g}"
+        blocks.append("\n".join([title, *integrity_table(summary.integrity, study.table).lines(left=2)]))
     if failures := failure_rows(summary):
         blocks.append("\n".join(["shots with a visible ring but without a pose", *map("  ".join, failures)]))
     return "\n\n".join(blocks) + "\n"

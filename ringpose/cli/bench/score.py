@@ -119,6 +119,7 @@ def bench(
 
     Further commands, each with its own --help: bench compare, bench study, bench design.
     """
+    from ringpose.bench.integrity import verdicts_text
     from ringpose.bench.report import report, score_table
     from ringpose.bench.summary import summaries
     from ringpose.bench.table import table
@@ -148,7 +149,8 @@ def bench(
     if STDOUT not in (json, csv) and (missed or not cron):
         shown = [stripes_shown(_truths(file), _laser_names(rig or file.with_name("rig.yaml"))) for file in truth]
         tables = table(lines, names, matched, [score.assumptions for score in scores])
-        records.write_text("\n".join(filter(None, [tables, *shown])) + "\n" * any(shown))
+        verdicts = verdicts_text(scores)
+        records.write_text("\n".join(filter(None, [tables, verdicts, *shown])) + "\n" * any(shown))
     if json is not None:
         named = [Path(name) for name in inputs if name != STDOUT]
         files = [*truth, *([rig] if rig else []), *named, *(folder / "rig.yaml" for folder in named)]

@@ -17,18 +17,24 @@ from ringpose.files.scenes.scene import read_scene
 from ringpose.files.schema import FREE_PREFIX, STUDY, Fields, hint
 from ringpose.files.yaml import read_yaml
 from ringpose.types import plausible
-from ringpose.types.assumptions import AssumptionOptions
+from ringpose.types.assumptions import AssumptionOptions, RigStability
 from ringpose.types.capture import CaptureLoop
+from ringpose.types.protection import RISK
 from ringpose.types.record import Key, Presence
+from ringpose.types.rig import Rig
 from ringpose.types.scene import Scene
 from ringpose.types.session import parsed_sequence
 from ringpose.types.study import (
     CAPTURE_LIMITS,
     CASE,
+    DRAWN_FAULTS,
+    FAULTS,
     LIMITS,
+    NO_FAULT,
     NUMBERS,
     ONLY_CAPTURE,
     ONLY_FEATURES,
+    RUN_FAULTS,
     SURFACES,
     Drawn,
     Factor,
@@ -82,6 +88,10 @@ class AssumeEntry:
         float,
         Key("Factor on the rig's stability.", plausible=plausible.STABILITY_FACTOR, presence=Presence.IF_KNOWN),
     ] = 1.0
+    risk: Annotated[
+        float,
+        Key("Risk of the protection levels.", plausible=plausible.RISK, presence=Presence.IF_KNOWN),
+    ] = RISK
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -295,6 +305,7 @@ def _assumed(fields: Fields, entry: AssumeEntry | None) -> AssumptionOptions:
         max_rate_deg_s=None if entry.max_rate_rad_s is None else degrees(entry.max_rate_rad_s),
         ring_tolerance_m=entry.ring_tolerance_m,
         rig_stability=entry.rig_stability,
+        risk=entry.risk,
     )
 
 
@@ -433,11 +444,12 @@ def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> Non
     scene, given = study.scene, factor.uniform or factor.values
     if factor.name in ONLY_FEATURES and study.level == "images":
         raise fields.problem(key, "is not rendered in images", "give level: features")
-    if factor.name == SURFACES:
-        _check_surfaces(fields, key, factor, study)
-    if factor.name == "rig_errors" and True in factor.values and scene.rig.covariance is None:
-        remedy = "give a rig.yaml with a covariance, as calibrate-planes writes it"
-        raise fields.problem(key, "needs the rig's covariance, and the scene's rig has none", remedy)
+    checks = {SURFACES: _check_surfaces, FAULTS: _check_faults}
+    if factor.name in checks:
+        checks[factor.name](fields, key, factor, study)
+    if factor.name == "rig_errors" and True in factor.values and _is_exact(scene.rig):
+        remedy = "give a rig.yaml with one of them, as calibrate-planes writes it"
+        raise fields.problem(key, "needs the rig's covariance or stability, and the scene's rig has neither", remedy)
     if factor.name == "stripe_dn" and study.level == "features":
         largest_dn = max(cast(tuple[float, ...], given))
         if largest_dn > 2**scene.sensor.bits - 1:
@@ -448,6 +460,20 @@ def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> Non
         if smallest_m <= inward_m:
             finding = f"has {smallest_m:g}, must be greater than {inward_m:g}, the width of the cross-section"
             raise fields.problem(key, finding)
+
+
+def _is_exact(rig: Rig) -> bool:
+    """Whether a rig has no errors that could be drawn."""
+    return rig.covariance is None and rig.stability == RigStability()
+
+
+def _check_faults(fields: Fields, key: str, factor: Factor, study: Study) -> None:
+    """Reject names that are no faults."""
+    known = (NO_FAULT, *DRAWN_FAULTS, *RUN_FAULTS)
+    for name in (name for value in factor.values for name in str(value).split("+")):
+        if name not in known:
+            remedy = hint(name, known) or f"give names of {', '.join(known)}"
+            raise fields.problem(key, f"names {name!r}, which is not a fault", remedy)
 
 
 def _check_surfaces(fields: Fields, key: str, factor: Factor, study: Study) -> None:
