@@ -185,9 +185,8 @@ def draw_detection(
     shot_motion = ShotMotion(scene, view, appearance.arcs, appearance.axes, motion, start_s)
     moving = view.path is not None or deviations.motion is not None
     outliers = _outliers(deviations, rng.uniform(size=(lasers, 7)))
-    faults = np.random.default_rng([_FAULTS, *rng.bit_generator.random_raw(2).tolist()]) if deviations.faults else None
-    if faults is not None:
-        outliers, unit = _with_faults(outliers, unit, deviations.faults, appearance.seen, faults)
+    of_faults = np.random.default_rng([_FAULTS, *unit[:2].view(np.uint64).tolist()])
+    outliers, unit = _with_faults(outliers, unit, deviations.faults, appearance.seen, of_faults)
 
     break_points: BreakPoints | NoBreakPoints = (
         NoBreakPoints.NO_RING if view.target == "body" else NoBreakPoints.NO_STRIPE
@@ -207,8 +206,7 @@ def draw_detection(
             break_points = _as_measured(points, scene.rig.camera, frames.labelled(seen), stamp)
             unit = rng.standard_normal(len(appearance.edges.edge)) * deviations.noise
             edges = _drawn_edges(scene, appearance, common, shot_motion, middle_s, stamp_s, unit, moving=moving)
-            if faults is not None:
-                edges = _with_wrong_edges(edges, deviations.faults, faults)
+            edges = _with_wrong_edges(edges, deviations.faults, of_faults)
             beyond = shot_motion._replace(arcs=shot_motion.arcs.at_opposite_arc())
             stripes = stripe_ends(scene.ring, appearance, common, beyond, when_s, outliers.behind_m)
             seen &= np.isfinite(stripes.start_px[:, 0])
@@ -269,6 +267,8 @@ def _with_faults(
     rng: np.random.Generator,
 ) -> tuple[_Outliers, Float64[Array, "number"]]:
     """The outliers and the standard normal numbers of a shot with faults, each of them at a stripe of its own."""
+    if not faults:
+        return outliers, unit
     shift_px, behind_m = outliers.shift_px.copy(), outliers.behind_m.copy()
     ghost_px, missing = outliers.ghost_px.copy(), outliers.missing.copy()
     free = rng.permutation(np.flatnonzero(seen)).tolist()
@@ -284,13 +284,26 @@ def _with_faults(
             ghost_px[laser] = _log_uniform(GHOST_PX, rng), _log_uniform(GHOST_PX, rng)
         else:
             missing[laser] = True
+    unit = _with_larger_errors(unit, faults, rng)
+    return _Outliers(
+        displaced=outliers.displaced | (shift_px != 0.0),
+        shift_px=shift_px,
+        behind_m=behind_m,
+        missing=missing,
+        ghost_px=ghost_px,
+    ), unit
+
+
+def _with_larger_errors(
+    unit: Float64[Array, "number"], faults: tuple[str, ...], rng: np.random.Generator
+) -> Float64[Array, "number"]:
+    """The standard normal numbers, those of the features from heavier tails or larger than stated."""
+    errors = unit[5:]  # after those of the motion
     if "tails" in faults:
-        heavy = rng.standard_t(TAIL_FREEDOM, len(unit) - 5) * sqrt((TAIL_FREEDOM - 2.0) / TAIL_FREEDOM)
-        unit = np.concatenate([unit[:5], heavy])
+        errors = rng.standard_t(TAIL_FREEDOM, len(errors)) * sqrt((TAIL_FREEDOM - 2.0) / TAIL_FREEDOM)
     if "sigmas" in faults:
-        unit = np.concatenate([unit[:5], SIGMA_FACTOR * unit[5:]])
-    displaced = outliers.displaced | (shift_px != 0.0)
-    return _Outliers(displaced, shift_px, behind_m, missing, ghost_px), unit
+        errors = SIGMA_FACTOR * errors
+    return np.concatenate([unit[:5], errors])
 
 
 def _log_uniform(bounds: tuple[float, float], rng: np.random.Generator) -> float:
