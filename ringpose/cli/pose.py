@@ -87,6 +87,13 @@ Risk = Annotated[
     ),
 ]
 
+Budget = Annotated[
+    bool,
+    typer.Option(
+        "--budget", help="State the variance of grasp point, normal and centre by source.", rich_help_panel=ASSUMED
+    ),
+]
+
 Track = Annotated[
     bool,
     typer.Option(
@@ -108,6 +115,7 @@ def pose(
     ring: RingOptions,
     assumed: Assumed,
     risk: Risk = RISK,
+    budget: Budget = False,
     grasp_near: GraspNear = None,
     channel: ImageChannel = None,
     camera: LiveCamera = None,
@@ -159,6 +167,7 @@ def pose(
         known=known,
         options=options,
         camera=motion,
+        with_budget=budget,
         grasp_near_px=_place_in_image(grasp_near, loaded_rig.camera),
     )
     in_stream = partial(Stream, setup, settings.options(options) if track else None, clock=time)

@@ -47,7 +47,7 @@ def solution_separation(best: Explanation, values: Quantities) -> Separation:
     )
     errors = np.concatenate([*(fault.columns for fault in faults), np.zeros((len(problem.residual), 1))], axis=1)
     weighted = errors.T * problem.weights
-    cross, directions = weighted @ problem.jacobian, _directions(values, problem.jacobian.shape[1])
+    cross, directions = weighted @ problem.jacobian, directions_of(values, problem.jacobian.shape[1])
     solved = np.linalg.solve(problem.information, np.concatenate([cross, directions, problem.gradient[None]]).T)
     by_errors, by_quantities, step = solved[:, : count + 1], solved[:, count + 1 : -1], solved[:, -1]
     information = weighted @ errors - cross @ by_errors  # M
@@ -133,7 +133,7 @@ def _problem(best: Explanation) -> _Problem:
     )
 
 
-def _directions(values: Quantities, parameters: int) -> Float64[Array, "quantity=8 parameter"]:
+def directions_of(values: Quantities, parameters: int) -> Float64[Array, "quantity=8 parameter"]:
     """Derivatives of the separated quantities by ring and common errors."""
     jacobian = values.jacobian
     directions = np.zeros((8, parameters))

@@ -25,7 +25,7 @@ from ringpose.estimate.nuisance import with_stability
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.measure import status
 from ringpose.pose.maximum_likelihood import most_likely_pose
-from ringpose.pose.protection import protection_of
+from ringpose.pose.protection import protection_of, variances_by_source
 from ringpose.pose.rig_monitor import DriftMonitor, FormMonitor
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.assumptions import (
@@ -66,6 +66,8 @@ class Setup:
     options: AssumptionOptions = USUAL
     camera: CameraMotion | None = None
     """The camera's motion by the poses of the robot; None for a camera that counts as inertial."""
+    with_budget: bool = False
+    """Whether lines state the variances of their quantities by source."""
     grasp_near_px: tuple[float, float] | None = None
     """Place in the image to which the arc of the grasp point is nearest, if a shot shows both; None for its middle."""
 
@@ -90,7 +92,15 @@ class Setup:
             if described is not points:
                 detection = replace(detection, break_points=described, ring=None)  # it is described at the other arc
         return pose_line(
-            detection, self.rig, self.method, self.frame, self.known, self.options, self.camera, assumptions
+            detection,
+            self.rig,
+            self.method,
+            self.frame,
+            self.known,
+            self.options,
+            self.camera,
+            assumptions,
+            with_budget=self.with_budget,
         )
 
     def measure(self, source: Shot | Detection) -> PoseLine:
@@ -314,6 +324,8 @@ def pose_line(
     options: AssumptionOptions = USUAL,
     camera: CameraMotion | None = None,
     assumptions: Assumptions | None = None,
+    *,
+    with_budget: bool = False,
 ) -> PoseLine:
     """The pose of one shot, or the reason why it has none, and the time that the computation took.
 
@@ -358,9 +370,12 @@ def pose_line(
         result = _in_frame(result, located, frame)
     pose, rejected, of_rig = result.pose, result.rejected or source.rejected, status.findings_of_rig(rig)
     flags = result.flags | status.flags_of(status.findings_of(source, rejected) | of_rig)
-    protection = None
+    protection, budget = None, dict[str, dict[str, float]]()
     if result.separation is not None and isinstance(pose, RingPose):
         protection = protection_of(result.separation, pose, options.risk, flags)
+        if with_budget and result.budget is not None:
+            in_camera = frame is PoseFrame.CAMERA
+            budget = variances_by_source(result.budget(), pose, result.separation, in_camera=in_camera)
     end_s = perf_counter()
     return PoseLine(
         shot=source.shot,
@@ -372,6 +387,7 @@ def pose_line(
         frame=frame,
         velocity=result.velocity,
         protection=protection,
+        budget=budget,
         measurement=result.measurement,
         priors=result.priors,
         lasers=result.lasers,

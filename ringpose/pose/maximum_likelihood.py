@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ringpose.estimate.budget import error_budget
 from ringpose.estimate.covariance import (
     BAND_OUT,
     CENTER,
@@ -167,7 +168,7 @@ def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
     )
     if not bool(np.isfinite(covariance).all()):
         return result, best.findings
-    bias_m = second_order_bias_m(covariance, estimate, pose_quantities)
+    bias_m, inflated = second_order_bias_m(covariance, estimate, pose_quantities), covariance
     covariance = with_second_order(covariance, bias_m, estimate, pose_quantities)
     origin = estimate.arcs.origin
     if abs(float(origin @ pose_quantities.normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
@@ -189,6 +190,7 @@ def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
         velocity=velocity,
         measurement=ring_measurement(estimate, measured, pose_quantities),
         separation=solution_separation(best, pose_quantities),
+        budget=partial(error_budget, estimate, pose_quantities, inflated, covariance),
     )
     return result, findings | of_velocity
 

@@ -1,6 +1,7 @@
 """How far a pose may be off, at the risk that its user accepts: protection levels (ringpose-method(7), section 15)."""
 
 from bisect import bisect_left
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from math import erfc, inf, log, pi, sqrt
@@ -105,6 +106,41 @@ def protection_of(separation: Separation, pose: RingPose, risk: float, flags: Po
             ]
             found = replace(found, center_m=np.array(axes) / (1.0 - share))
     return found
+
+
+def variances_by_source(
+    budget: Mapping[str, Float64[Array, "quantity=7 quantity=7"]],
+    pose: RingPose,
+    separation: Separation,
+    *,
+    in_camera: bool,
+) -> dict[str, dict[str, float]]:
+    """The variances of the reported quantities by source, in the frame of the pose, which is that of the separation.
+
+    What a pose in another frame than the camera's has beyond the sources is the error of the camera's pose there, which
+    is that of the mount.
+    """
+    across, frame_from_camera = separation.across, separation.rotation
+    found: dict[str, dict[str, float]] = {}
+    if pose.covariance_grasp_m2 is not None:
+        for row, name in enumerate(("grasp_normal_m2", "grasp_radial_m2")):
+            found[name] = {source: float(part[row, row]) for source, part in budget.items()}
+            found[name][""] = float(across[row] @ pose.covariance_grasp_m2 @ across[row])
+    if pose.covariance is not None and bool(np.isfinite(pose.covariance[:2, :2]).all()):
+        found["normal_rad2"] = {source: float(np.trace(part[TILTS, TILTS])) for source, part in budget.items()}
+        found["normal_rad2"][""] = float(np.trace(pose.covariance[:2, :2]))
+    if pose.covariance_center_m2 is not None:
+        turned = {
+            source: frame_from_camera @ part[CENTER, CENTER] @ frame_from_camera.T for source, part in budget.items()
+        }
+        for row, axis in enumerate("xyz"):
+            found[f"center_{axis}_m2"] = {source: float(part[row, row]) for source, part in turned.items()}
+            found[f"center_{axis}_m2"][""] = float(pose.covariance_center_m2[row, row])
+    for variances in found.values():
+        total = variances.pop("")
+        if not in_camera:
+            variances["mount"] = variances.get("mount", 0.0) + total - sum(variances.values())
+    return {name: {source: each for source, each in of.items() if each != 0.0} for name, of in found.items()}
 
 
 def _sigmas(variance: Float64[Array, "hypothesis"], reported: float) -> Float64[Array, "hypothesis"]:

@@ -34,10 +34,30 @@ def pose_report(lines: Sequence[PoseLine], worst: Sequence[Picture], title: str,
         Section(title=name, pictures=[_series_picture(lines, parts, unit, values, caption)])
         for name, parts, unit, values, caption in QUANTITIES
     ]
+    if any(line.budget for line in lines):
+        sections.append(_budget_section(lines))
     if worst:
         text = "Without a pose first, then degraded ones, each by the standard deviation of the grasp point."
         sections.insert(3, Section(title="Worst shots", text=[text], pictures=worst))
     return page(title, sections)
+
+
+def _budget_section(lines: Sequence[PoseLine]) -> Section:
+    """The median share of each source in the variance of each quantity, and the standard deviation of all."""
+    budgets = [line.budget for line in lines if line.budget]
+    names = list(dict.fromkeys(name for budget in budgets for name in budget))
+    sources = list(dict.fromkeys(source for budget in budgets for of in budget.values() for source in of))
+    rows = []
+    for name in names:
+        known = [budget[name] for budget in budgets if name in budget]
+        total = np.array([sum(of.values()) for of in known])
+        shares = [np.median(np.array([of.get(source, 0.0) for of in known]) / total) for source in sources]
+        unit, factor = ("deg", np.degrees(1.0)) if name.endswith("rad2") else ("mm", 1e3)
+        sd = f"{factor * float(np.median(np.sqrt(total))):.3g} {unit}"
+        rows.append([name.rsplit("_", 1)[0].replace("_", " "), sd, *(f"{100 * share:.1f}" for share in shares)])
+    headings = ("quantity", "standard deviation", *(f"{source.replace('_', ' ')} %" for source in sources))
+    text = [f"Medians of {len(budgets)} shots: the share of each source in the variance."]
+    return Section(title="Error budget", text=text, table=Table(headings=headings, rows=rows))
 
 
 MAX_ROWS = 1000

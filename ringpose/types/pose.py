@@ -4,7 +4,7 @@ Also the prior radii of its edges, the triangulated break points, and the eviden
 planes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum, IntFlag, StrEnum
 from math import atan2, hypot, inf, nan
@@ -458,6 +458,8 @@ class PoseResult:
     plane_evidence: PlaneEvidence | None = None
     """Evidence for errors of the light planes, of all measurements if some of them contradict one ring; None for
     methods without residuals."""
+    budget: Callable[[], Mapping[str, Float64[Array, "quantity=7 quantity=7"]]] | None = None
+    """Computes the covariance of the separated quantities but the last, by source; None without residuals."""
     separation: Separation | None = None
     """The solutions under all hypotheses; None for methods without residuals."""
 
@@ -526,6 +528,17 @@ class PoseLine:
             "How far the pose may be off, see below; null without a pose, and for methods other than `ml`.", added=True
         ),
     ] = None
+    budget: Annotated[
+        Mapping[str, Annotated[Mapping[str, Annotated[float, Key()]], Key()]],
+        Key(
+            "With `--budget`: the variance of each quantity by source. Quantities: `grasp_normal_m2`, "
+            "`grasp_radial_m2`, `normal_rad2` (of both tilts together), `center_x_m2`, `center_y_m2`, `center_z_m2`. "
+            "Sources: `image_noise`, `rig_calibration`, `stability`, `radius_prior`, `form`, `motion`, `mount`, "
+            "`clock`, `weak_prior` (of what the shot leaves open), `second_order` (of the centre), `contradiction` "
+            "(what an inconsistent shot adds). They add up to the variance in `covariance`.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = field(default_factory=dict)
     measurement: Annotated[
         RingMeasurement | None,
         Key(

@@ -1,6 +1,6 @@
 """How far a pose may be off: the record of protection levels, and the solutions under all hypotheses behind it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Annotated
 
@@ -70,6 +70,8 @@ class Separation:
     """The normal, and the direction outwards from the ring's centre, at the grasp point."""
     radius_m: float
     """Mean radius of the accepted ring."""
+    rotation: Float64[Array, "3 3"] = field(default_factory=lambda: np.eye(3))
+    """From the camera's axes, or those of its image turned by a quarter, in which it was estimated."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,4 +87,5 @@ class Separation:
             difference=self.difference @ change.T,
             covariance=change @ self.covariance @ change.T,
             across=self.across @ rotation.T,
+            rotation=rotation @ self.rotation,
         )

@@ -22,6 +22,7 @@ from benchmarks.compare_baseline import ASSUMPTIONS, RENDERED
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from ringpose.bench.integrity import integrity_table
 from ringpose.bench.study.table import Statistics, StudySummary, sorted_keys, summarized, value_text
 from ringpose.bench.table import number
 from ringpose.cli.main import main as ringpose
@@ -45,7 +46,7 @@ STUDIES = {
 }
 """The presets whose results the page shows, with the methods that stand in its tables."""
 
-COUNTS = {"calibrated": 10}
+COUNTS = {"calibrated": 10, "integrity": 30}
 """Shots of each cell where the page does not take the preset's own number."""
 
 DISTANCES_M = np.linspace(0.2, 1.0, 9)
@@ -85,6 +86,19 @@ def table(rows: Sequence[Sequence[str]], left: int = 1) -> Iterator[str]:
 
 
 # Studies
+
+
+def integrity_block(output: Path) -> list[str]:
+    """The table of errors beyond their protection levels, by what is wrong."""
+    return integrity_rows(study_summary("integrity", output))
+
+
+def integrity_rows(summary: StudySummary) -> list[str]:
+    """A row for each kind of fault, without the counts of single quantities."""
+    made = integrity_table(summary.integrity, "wrong")
+    shown = [0, 1, 2, 3, len(made.headings) - 2, len(made.headings) - 1]
+    rows = [[str(row[column]) for column in shown] for row in (made.headings, *made.rows)]
+    return list(table(rows, left=2))
 
 
 def study_summary(preset: str, output: Path) -> StudySummary:
@@ -254,6 +268,7 @@ BLOCKS: dict[str, Callable[[Path], list[str]]] = {
     "times": times_block,
     "chart": distance_chart,
     **{preset: study_block(preset) for preset in STUDIES},
+    "integrity": integrity_block,
 }
 """The generated parts of the page by their names in its marks."""
 

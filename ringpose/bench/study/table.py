@@ -126,8 +126,9 @@ def summarized(study: Study, rows: Iterable[Row]) -> StudySummary:
     for row in rows:
         method = str(row["method"])
         if row["outcome"] != "error":
-            value = value_text(study.table, row[study.table]) if study.table and row[study.table] is not None else "all"
-            integrity.setdefault((method, value), Integrity()).add(levels_in(row))
+            own = row[study.table] if study.table else None
+            kind = "all" if own is None else value_text(study.table, own)
+            integrity.setdefault((method, kind), Integrity()).add(levels_in(row))
         key = tuple(value for name in by if (value := row[name]) is not None)
         cells.setdefault((method, key), Statistics()).add(row)
         wide[method, ()].add(row)
