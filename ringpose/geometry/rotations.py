@@ -1,6 +1,6 @@
 """Directions and rotations."""
 
-from math import hypot
+from math import atan2, hypot
 
 import cv2
 import numpy as np
@@ -71,11 +71,16 @@ def facing_angles(normal: Float64[Array, "3"]) -> tuple[float, float]:
 
 
 def rotation_vector(rotation: Float64[Array, "3 3"]) -> Float64[Array, "3"]:
-    """Axis times angle. OpenCV's is zero below 10 microradians, where the pose of a board facing it would stall."""
-    sine = rotation_sine(rotation)
-    if float(np.abs(sine).max()) < SMALL_ANGLE and np.trace(rotation) > 1:
-        return sine
-    return np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
+    """Axis times angle. OpenCV's is zero below 10 microradians, where the pose of a board facing it would stall.
+
+    It is used near half a turn, where the sine does not show the axis.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation.tolist()
+    sine = (zy - yz) / 2, (xz - zx) / 2, (yx - xy) / 2
+    length, cosine = hypot(*sine), (xx + yy + zz - 1.0) / 2.0
+    if cosine < NEAR_HALF_TURN:
+        return np.asarray(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
+    return np.array(sine) * (1.0 if length < SMALL_ANGLE else atan2(length, cosine) / length)
 
 
 def rotation_vectors(rotation: Float64[Array, "*shape 3 3"]) -> Float64[Array, "*shape 3"]:

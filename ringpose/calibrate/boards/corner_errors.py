@@ -23,7 +23,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from ringpose.calibrate.boards.patterns.circles import seen_offsets
-from ringpose.calibrate.boards.pose import board_pose, moved_pose, projection_jacobians, residuals
+from ringpose.calibrate.boards.pose import board_pose, moved_pose, projection, residuals
 from ringpose.geometry.least_squares import Eliminated, robust_std
 from ringpose.geometry.rays import project
 from ringpose.types.arrays import Array, Float64
@@ -80,8 +80,8 @@ class ViewEquations(NamedTuple):
 
 def view_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float) -> ViewEquations:
     """The equations of a view whose corner coordinates have this standard deviation, decorrelated."""
-    wrt_pose, wrt_camera = projection_jacobians(view.points_board_m, pose, camera)
-    residual_px = residuals(view, pose, camera)[..., None]
+    pixels, wrt_pose, wrt_camera = projection(view.points_board_m, pose, camera)
+    residual_px = (view.points_px - pixels)[..., None]
     rows = np.concatenate([wrt_pose, wrt_camera, residual_px], axis=-1).reshape(2 * len(wrt_pose), -1)
     rows = whiten(rows, view) / sigma_px
     return ViewEquations(wrt_pose=rows[:, :6], wrt_camera=rows[:, 6:-1], residual=rows[:, -1])

@@ -114,14 +114,16 @@ def moved_pose(pose: BoardPose, step: Float64[Array, "pose=6"]) -> BoardPose:
     return replace(pose, rotation=np.asarray(rotation, dtype=np.float64), translation_m=pose.translation_m + step[3:])
 
 
-def projection_jacobians(
+def projection(
     points: Float64[Array, "corner xyz=3"], pose: BoardPose, camera: Camera
-) -> tuple[Float64[Array, "corner xy=2 pose=6"], Float64[Array, "corner xy=2 parameter"]]:
-    """Jacobians of the pixels with respect to the pose (rotation vector, translation) and the intrinsic parameters."""
-    _, jacobian = cv2.projectPoints(
+) -> tuple[
+    Float64[Array, "corner xy=2"], Float64[Array, "corner xy=2 pose=6"], Float64[Array, "corner xy=2 parameter"]
+]:
+    """Pixels, and their Jacobians with respect to pose (rotation vector, translation) and intrinsic parameters."""
+    pixels, jacobian = cv2.projectPoints(
         points, rotation_vector(pose.rotation), pose.translation_m, camera.camera_matrix, camera.distortion_coefficients
     )
     both = np.asarray(jacobian, dtype=np.float64)
     parameters = 4 + len(camera.distortion_coefficients)
     both = both.reshape(len(points), 2, -1)
-    return both[..., :6], both[..., 6 : 6 + parameters]
+    return np.asarray(pixels, dtype=np.float64)[:, 0], both[..., :6], both[..., 6 : 6 + parameters]

@@ -14,7 +14,7 @@ import numpy as np
 
 from ringpose.calibrate.acceptance import BOARD_LIMITS, check, marker_size_findings
 from ringpose.calibrate.boards.corner_errors import view_equations, whiten, without_distortion_bias
-from ringpose.calibrate.boards.pose import projection_jacobians
+from ringpose.calibrate.boards.pose import projection
 from ringpose.calibrate.camera import validation
 from ringpose.calibrate.camera.bundle_adjustment import CameraSolution, camera_solution
 from ringpose.calibrate.camera.outliers import other_camera_finding
@@ -141,7 +141,7 @@ def bow_error(
 def _bow_equations(view: BoardView, pose: BoardPose, camera: Camera, sigma_px: float) -> Eliminated:
     """Whitened equations of camera and bow, with the pose eliminated."""
     equations = view_equations(view, pose, camera, sigma_px)
-    wrt_pose, _ = projection_jacobians(view.points_board_m, pose, camera)
+    _, wrt_pose, _ = projection(view.points_board_m, pose, camera)
     wrt_height = wrt_pose[..., 3:] @ pose.rotation[:, 2]
     wrt_bow = (wrt_height[..., None] * _surface_heights(view.points_board_m)[:, None]).reshape(-1, 3)
     both = np.hstack([equations.wrt_camera, whiten(wrt_bow, view) / sigma_px])

@@ -85,7 +85,7 @@ def other_camera_finding(calibration: CameraCalibration) -> Check:
     usual_px = float(np.median([_rms_px(board, camera) for board in used]))
     members, other = _other_camera(rejected, camera, MAX_EXPLAINED_FACTOR * usual_px)
     names = {board.name for board in members}
-    for board in used:  # those that fit the other camera significantly better
+    for board in used if names else ():  # those that fit the other camera significantly better
         gain = len(board.ids) * (_rms_px(board, camera) ** 2 - _rms_px(board, other) ** 2)
         names |= {board.name} if gain > (_GAIN_SIGMAS * usual_px) ** 2 else set()
     names = names if len(names) > 1 else set()

@@ -12,7 +12,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from ringpose.calibrate.boards.pose import board_pose, projection_jacobians
+from ringpose.calibrate.boards.pose import board_pose, projection
 from ringpose.calibrate.camera.bundle_adjustment import (
     MIN_VIEWS,
     CameraSolution,
@@ -188,7 +188,7 @@ def displacement_px(one: Camera, other: Camera) -> MapValues:
         return project(directions, other) - map_px.reshape(-1, 2)
 
     def linearize(directions: Float64[Array, "n xyz=3"]) -> Rows:
-        wrt_rotation = projection_jacobians(directions, _CAMERA_POSE, other)[0][..., :3]
+        wrt_rotation = projection(directions, _CAMERA_POSE, other)[1][..., :3]
         return Rows.of((middle * offset_px(directions)).ravel(), (middle[..., None] * wrt_rotation).reshape(-1, 3))
 
     def retract(directions: Float64[Array, "n xyz=3"], problem: Rows) -> Float64[Array, "n xyz=3"]:
@@ -205,7 +205,7 @@ def projection_sigma_px(camera: Camera, covariance: Float64[Array, "parameter pa
     """
     map_px, middle = map_points_px(camera), _middle_points(camera)
     directions = rays(map_px, camera).reshape(-1, 3)
-    wrt_pose, wrt_parameter = projection_jacobians(directions, _CAMERA_POSE, camera)
+    _, wrt_pose, wrt_parameter = projection(directions, _CAMERA_POSE, camera)
     wrt_rotation = wrt_pose[..., :3]
     rotation = np.linalg.lstsq(
         wrt_rotation[middle].reshape(-1, 3), wrt_parameter[middle].reshape(-1, wrt_parameter.shape[-1])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.rotations import rotation_vector
+from ringpose.geometry.rotations import rotation_vectors
 from ringpose.types.arrays import Array, Float64
 
 MIN_TURN_RAD = np.radians(5.0)
@@ -58,23 +58,25 @@ class Turns(NamedTuple):
     @property
     def spread_rad(self) -> Float64[Array, "3"]:
         """Largest rotation between two views, largest across its axis, and across both, from the camera's poses."""
-        _, _, axes = np.linalg.svd(self.camera_rad)
-        spread: Float64[Array, "3"] = np.abs(self.camera_rad @ axes.T).max(axis=0)
+        spread: Float64[Array, "3"] = np.abs(self.camera_rad @ _main_axes(self.camera_rad)).max(axis=0)
         return spread
 
     @property
     def main_axis(self) -> Float64[Array, "3"]:
         """Axis of the robot's frame about which the views are turned most."""
-        axis: Float64[Array, "3"] = np.linalg.svd(self.robot_rad)[2][0]
-        return axis
+        return _main_axes(self.robot_rad)[:, 0]
+
+
+def _main_axes(vectors: Float64[Array, "pair 3"]) -> Float64[Array, "xyz=3 axis=3"]:
+    """Orthogonal directions, first that of the largest sum of squares."""
+    return np.linalg.eigh(vectors.T @ vectors)[1][:, ::-1]
 
 
 def turns_between(robot: Sequence[Transform], board: Sequence[Transform]) -> Turns:
     """Rotations between all pairs of views."""
-    pairs = list(combinations(range(len(robot)), 2))
-    by_robot = [rotation_vector(robot[j].rotation @ robot[i].rotation.T) for i, j in pairs]
-    by_camera = [rotation_vector(board[j].rotation @ board[i].rotation.T) for i, j in pairs]
-    return Turns(np.array(by_robot), np.array(by_camera))
+    first, second = np.triu_indices(len(robot), 1)
+    several = (np.array([pose.rotation for pose in poses]).reshape(-1, 3, 3) for poses in (robot, board))
+    return Turns(*(rotation_vectors(each[second] @ each[first].swapaxes(1, 2)) for each in several))
 
 
 def closed_form_mount(
