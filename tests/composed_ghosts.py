@@ -3,17 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
+from drawn_scene import exposed
 
 from ringpose.types.image import Shot
 
 
 def moved(image: np.ndarray, rows: float) -> np.ndarray:
     """The image moved down by a number of rows, by linear interpolation."""
-    at = np.arange(len(image)) - rows
-    first = np.floor(at).astype(int)
-    share = (at - first)[:, None]
+    whole = int(np.ceil(rows))
+    share = np.float32(whole - rows)
     padded = np.pad(image, ((100, 100), (0, 0)))
-    return (1 - share) * padded[first + 100] + share * padded[first + 101]
+    first = padded[100 - whole : 100 - whole + len(image)]
+    return first + share * (padded[101 - whole : 101 - whole + len(image)] - first)
 
 
 def with_ghost(shot: Shot, ratio: float, rows: float, light: float = 1.0) -> Shot:
@@ -21,10 +22,12 @@ def with_ghost(shot: Shot, ratio: float, rows: float, light: float = 1.0) -> Sho
 
     The laser light is first made brighter by the factor `light`; then everything is clipped.
     """
-    dark = shot.images[0].astype(np.float64) if shot.lasers[0] == 0 else np.zeros(shot.images.shape[1:])
+    images = shot.images.astype(np.float32)
+    dark = images[0] if shot.lasers[0] == 0 else np.zeros_like(images[0])
     frames = []
-    for image, mask in zip(shot.images, shot.lasers.tolist(), strict=True):
-        seen = light * (image - dark)
-        lit = np.clip(np.rint(dark + seen + ratio * moved(seen, rows)), 0, 255).astype(np.uint8)
-        frames.append(image if mask == 0 else lit)
+    for image, mask in zip(images, shot.lasers.tolist(), strict=True):
+        seen = np.float32(light) * (image - dark)
+        frames.append(
+            shot.images[len(frames)] if mask == 0 else exposed(dark + seen + np.float32(ratio) * moved(seen, rows))
+        )
     return replace(shot, images=np.stack(frames))

@@ -24,7 +24,7 @@ gc.disable()  # until the tests are collected: going through the modules, which 
 
 _TIMED = [HealthCheck.too_slow]  # says how busy the machine is
 settings.register_profile("ringpose", derandomize=True, deadline=None, max_examples=50, suppress_health_check=_TIMED)
-settings.register_profile("fast", settings.get_profile("ringpose"), max_examples=20)
+settings.register_profile("fast", settings.get_profile("ringpose"), max_examples=10)
 settings.load_profile("ringpose")
 
 for _number in (signal.SIGINT, signal.SIGHUP):  # inherited as ignored from nohup or a background job

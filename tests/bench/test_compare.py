@@ -88,7 +88,7 @@ def test_the_p_value_of_many_shots_is_that_of_random_exchanges(rng):
 
 
 @pytest.mark.parametrize("shots", [40, pytest.param(10, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("quantity", ["grasp_m", "center_nees", "available"])
+@pytest.mark.parametrize("quantity", ["grasp_m", "center_nees", pytest.param("available", marks=pytest.mark.slow)])
 def test_a_row_of_two_equal_results_is_significant_no_more_often_than_it_may_be(rng, shots, quantity):
     draws = 300
     loss = COMPARED[quantity].loss

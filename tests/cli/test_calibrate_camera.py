@@ -131,7 +131,12 @@ def test_unusable_images_are_named_and_the_others_are_used(folder, capsys):
         (["nowhere.png"], 66, "nowhere.png: does not exist"),
         ([FIRST, "nowhere.png"], 66, "1 view of the board, at least 3 are needed"),
         ([FIRST, f"views/{VIEWS[1]}"], 65, "2 views of the board, at least 3 are needed; add views"),
-        ([FIRST, "--board", "other_board.yaml"], 65, "is it the right board file (DICT_5X5_250, numbers 0"),
+        pytest.param(
+            [FIRST, "--board", "other_board.yaml"],
+            65,
+            "is it the right board file (DICT_5X5_250, numbers 0",
+            marks=pytest.mark.slow,
+        ),
         (["views", "--board", "unknown_board.yaml"], 65, '"DICT_FOO"'),
         *((["views", "--distances", text], 2, "give metres, as 0.2,0.5,1") for text in ("", "near", "0.5,-1", "1e9")),
     ],

@@ -65,6 +65,7 @@ def test_a_table_and_json_lines_give_the_same_camera_within_its_sigmas(corners, 
     assert (np.abs(errors) < 3 * np.array([sigma[name] for name in ("fx", "fy", "cx", "cy")])).all()
 
 
+@pytest.mark.slow
 def test_opencvs_own_corners_give_the_published_camera(shared_data, run):
     """calib1.dat of opencv_extra, lengths in mm: 7 views of 35 corners."""
     words = (shared_data / "real" / "opencv_extra_calib" / "calib1.dat").read_text().split()

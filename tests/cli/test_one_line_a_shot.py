@@ -140,7 +140,7 @@ def changed(points, changes):
     return points
 
 
-@settings(relaxed, max_examples=40)
+@settings(relaxed, max_examples=20)
 @given(changes=admissible_records(), method=st.sampled_from(list(Method)))
 def test_every_admissible_record_is_a_line_that_can_be_read(rig_of_shots, detections, changes, method):
     record = json.loads(detections.read_text().splitlines()[0])

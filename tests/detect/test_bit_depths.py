@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from drawn_scene import DrawnScene, light
+from drawn_scene import DrawnScene, light, noise
 from recorded_shots import make_shot
 
 from ringpose.detect.pipeline import detect
@@ -23,10 +23,13 @@ def shot_of(levels, steps, most, dtype, factor, meta):
 @pytest.fixture(scope="module", params=[BRIGHT, DIM], ids=["bright", "dim"])
 def levels(request, rig):
     """Noisy frames with all lasers off and on, in fractions of grey values."""
-    rng = np.random.default_rng(5)
     scene = DrawnScene(peaks_dn=request.param)
-    lit = sum(light(scene, rig, laser) for laser in range(3))
-    return np.stack([np.zeros_like(lit), lit]) + 4.0 + rng.normal(0, 0.8, (2, *lit.shape))
+    lit = sum(light(scene, rig, laser) for laser in range(3)).astype(np.float32)
+    return (
+        np.stack([np.zeros_like(lit), lit])
+        + 4
+        + 0.8 * noise((2 * len(lit), lit.shape[1]), np.random.default_rng(5)).reshape(2, *lit.shape)
+    )
 
 
 @pytest.mark.parametrize("told", [True, False], ids=["told", "not told"])

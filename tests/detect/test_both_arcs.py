@@ -1,5 +1,6 @@
 """Rings of which both arcs are in view, in rendered images: where the ends are is computed apart from the renderer."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -34,8 +35,9 @@ SWITCHED, TOGETHER = [0, 1, 2, 3], [0, 4]
 RADIUS_M = np.array([0.13, 0.15])
 
 
-def shot_of(y_m: float, frames: list[int]):
-    """Frames of a flange before a flat body, its centre at that height in the image; and the ring."""
+@functools.cache
+def simulated(y_m: float):
+    """A shot of a flange before a flat body, its centre at that height in the image; and the ring."""
     normal = np.array([0.1, 0.05, -0.99])
     ring = Ring(center_m=np.array([0.02, y_m, 0.5]), normal=normal / np.linalg.norm(normal), radius_m=RADIUS_M)
     scene = Scene(
@@ -50,6 +52,12 @@ def shot_of(y_m: float, frames: list[int]):
         views=(RingView(name="view", center_m=ring.center_m, normal=ring.normal),),
     )
     shot, _ = next(iter(simulate(scene)))
+    return shot, ring
+
+
+def shot_of(y_m: float, frames: list[int]):
+    """Some frames of such a shot, and the ring."""
+    shot, ring = simulated(y_m)
     parts = {name: getattr(shot, name)[frames] for name in ("images", "lasers", "stamp_s", "exposure_s")}
     return replace(shot, **parts, device_stamp_s=None, gain_db=None, frame_id=None), ring
 

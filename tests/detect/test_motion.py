@@ -118,7 +118,7 @@ def test_few_break_points_show_no_motion_or_a_plausible_one(moving, rig, rng, se
 
 
 def test_frames_in_the_dark_show_no_motion(moving, rig, rng):
-    noise = rng.integers(2, 5, moving.images.shape).astype(np.uint8)
+    noise = rng.integers(2, 5, moving.images.shape, dtype=np.uint8)
 
     assert ring_motion(measured(DrawnScene(), rig, rng), replace(moving, images=noise), rig) is None
 

@@ -315,7 +315,7 @@ def lit_shot(scene: DrawnScene, rig: Rig, rng: np.random.Generator, laser: int, 
 
 
 @pytest.mark.parametrize("along_px", [10, pytest.param(-10, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("laser", [0, 1, 2])
+@pytest.mark.parametrize("laser", [pytest.param(0, marks=pytest.mark.slow), 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_displaced_stripe_does_not_lead_to_edges_of_another_ring(rig, rng, laser, along_px):
     scene = DrawnScene()
 

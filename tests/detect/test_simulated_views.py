@@ -1,5 +1,6 @@
 """Views in which stripes cross, leave the image or are not there: simulated with the paper's physical light planes."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -32,8 +33,9 @@ NARROW = rig_of(889.0, 800, 600)
 """The paper's lens, before pixels of 9 um."""
 
 
-def shot_of(rig: Rig, depth_m: float, frames: list[int], x_m: float = 0.582, target: str = "ring"):
-    """Some frames of a ring whose centre lies at that depth and that far to the right; and its true break points."""
+@functools.cache
+def simulated(rig: Rig, depth_m: float, x_m: float, target: str):
+    """A shot of a ring whose centre lies at that depth and that far to the right, and the truth."""
     view = RingView(
         name="view", center_m=np.array([x_m, -0.03, depth_m]), normal=np.array([0.0, 0.0, -1.0]), target=target
     )
@@ -48,7 +50,12 @@ def shot_of(rig: Rig, depth_m: float, frames: list[int], x_m: float = 0.582, tar
         sequence=(0, 1, 2, 4, 7),
         views=(view,),
     )
-    shot, truth = next(iter(simulate(scene)))
+    return next(iter(simulate(scene)))
+
+
+def shot_of(rig: Rig, depth_m: float, frames: list[int], x_m: float = 0.582, target: str = "ring"):
+    """Some frames of such a shot, and its true break points."""
+    shot, truth = simulated(rig, depth_m, x_m, target)
     parts = {name: getattr(shot, name)[frames] for name in ("images", "lasers", "stamp_s", "exposure_s")}
     return replace(shot, **parts, device_stamp_s=None, gain_db=None, frame_id=None), truth.break_points_px
 

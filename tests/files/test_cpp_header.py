@@ -17,6 +17,8 @@ from ringpose.files.cpp_header import cpp_header
 from ringpose.files.records.poses import pose_record
 from ringpose.files.records.tracks import track_record
 
+pytestmark = pytest.mark.slow  # to compile the example takes four seconds of CPU time
+
 EXAMPLE = Path(__file__).parents[2] / "examples" / "read_lines.cpp"
 RNG = np.random.default_rng(0)
 POSE, TRACK = record_of(pose_record(complete_line(RNG))), record_of(track_record(complete_track(RNG)))

@@ -39,7 +39,7 @@ from ringpose.types.scene import Approach
 from ringpose.types.study import StudyMethod
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "scene.yaml"
-SHOTS = 5
+SHOTS = 4
 STILL = AssumptionOptions(still=True)
 NO_RADII = KnownRadii(radius_m=np.full(2, np.nan), sd_m=np.ones(2))
 

@@ -33,7 +33,7 @@ def rig():
 
 
 def test_a_rig_within_its_stability_is_healthy(poses, rng, rig):
-    lines, warnings = measured_stream(rig, poses(within_stability(rig, rng), 25))
+    lines, warnings = measured_stream(rig, poses(within_stability(rig, rng), 15))
 
     assert not warnings
     assert max(lines[-1].rig_health.values()) < 3.0
@@ -127,7 +127,7 @@ def test_wrong_break_points_in_a_few_shots_are_no_drift(poses, rng, rig):
 
 @pytest.mark.parametrize(("laser", "shift_px"), [(0, 2.0), (1, 8.0)])
 def test_a_wrong_stripe_in_one_shot_is_no_drift(poses, rig, laser, shift_px):
-    scenes = list(poses(rig, 15))
+    scenes = list(poses(rig, 8))
     _, points = scenes[3]
     points.position_px[laser, :, 1] += shift_px
     points.face_start_undistorted_px[laser, 1] += shift_px

@@ -46,7 +46,7 @@ def misplaced_m(image: np.ndarray, board: Board, dots_per_inch: float) -> float:
     return float(np.abs(position_m - true_m).max())
 
 
-SLOW = ("chessboard", "aruco_grid")
+SLOW = ("chessboard", "aruco_grid", "aprilgrid", "marker_map", "separate_squares")
 """Boards whose shapes, squares and markers, the other boards have, too."""
 
 

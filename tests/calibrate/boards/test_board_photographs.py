@@ -72,15 +72,16 @@ def test_a_board_that_only_the_classic_detector_sees_beside_a_stripe_is_found(sh
     path = shared_data / "real" / "uba_laser_plane" / "color" / "image011.png"
     board = Board(kind="chessboard", squares_x=12, squares_y=8, square_m=0.021167, square_y_m=0.021125)
 
-    found = find_board(board_image(read_shots(path)[0]), board, "stripe")
+    found = find_board(np.ascontiguousarray(board_image(read_shots(path)[0])[:600, 320:960]), board, "stripe")
 
     plane, _ = cv2.findHomography(found.points_board_m[:, :2], found.points_px)
     predicted = cv2.perspectiveTransform(found.points_board_m[None, :, :2], plane)[0]
     assert np.abs(predicted - found.points_px).max() < 2  # with the lens's distortion
 
 
-@pytest.mark.parametrize("number", ["01", pytest.param("09", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", ["01", "09"])
 @pytest.mark.parametrize("counts", [(9, 7), (10, 6)])
+@pytest.mark.slow
 def test_part_of_a_chessboard_is_not_taken_for_a_smaller_one(number, counts, shared_data):
     """OpenCV finds 8 x 6 of the 9 x 6 inner corners in 12 of 13 photographs."""
     image = cv2.imread(str(shared_data / "real" / "opencv_samples_stereo" / f"left{number}.jpg"), cv2.IMREAD_GRAYSCALE)

@@ -84,7 +84,13 @@ def test_what_is_wrong_with_the_image_of_a_board_is_reported(board, changed, fai
 OF_CHARUCO, OF_GRID = "squares_x: 8, squares_y: 6, legacy_pattern: false", "squares_x: 3, squares_y: 2"
 OTHERS = [
     (CHESSBOARD, replace(CHESSBOARD, squares_x=9), BoardFailure.LARGER, "as with 10 x 7 squares: 9 x 6 of 8 x 6 inner"),
-    (CHESSBOARD, replace(CHESSBOARD, squares_x=8, squares_y=8), BoardFailure.OTHER_SIZE, "9 x 6 of 7 x 7 inner"),
+    pytest.param(
+        CHESSBOARD,
+        replace(CHESSBOARD, squares_x=8, squares_y=8),
+        BoardFailure.OTHER_SIZE,
+        "9 x 6 of 7 x 7 inner",
+        marks=pytest.mark.slow,
+    ),
     (FOUR, replace(FOUR, dictionary="DICT_6X6_250"), BoardFailure.OTHER_MARKERS, FOUR.dictionary[:8]),
     (GRID, replace(FOUR, dictionary="DICT_7X7_50"), BoardFailure.OTHER_MARKERS, GRID.dictionary[:8]),
     (GRID, CHESSBOARD, BoardFailure.OTHER_MARKERS, GRID.dictionary[:8]),
