@@ -36,13 +36,44 @@ class Matrix:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Frustum:
+    """The near plane of a virtual camera, as of glFrustum in OpenGL; in any one unit of length."""
+
+    left: Annotated[
+        float, Key("x of the plane's left border, to the right of the optical axis, in any unit of length.")
+    ]
+    right: Annotated[float, Key("x of its right border.")]
+    bottom: Annotated[float, Key("y of its lower border, upwards from the optical axis as in OpenGL.")]
+    top: Annotated[float, Key("y of its upper border.")]
+    near: Annotated[float, Key("Its distance from the projection centre.", least=1e-6)]
+
+    def camera_matrix(self, image_width: int, image_height: int) -> Float64[Array, "3 3"]:
+        """The camera matrix of an image that fills the near plane (ringpose-conventions(7)).
+
+        Its borders are half a pixel beyond the centres of the outermost pixels; y turns from upwards to downwards.
+        """
+        per_x, per_y = image_width / (self.right - self.left), image_height / (self.top - self.bottom)
+        return np.array([
+            [self.near * per_x, 0.0, -self.left * per_x - 0.5],
+            [0.0, self.near * per_y, self.top * per_y - 0.5],
+            [0.0, 0.0, 1.0],
+        ])  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CameraInfo:
     """A camera with the keys of ROS camera_info."""
 
     image_width: Annotated[int, Key("Columns of the image.", least=1)]
     image_height: Annotated[int, Key("Rows of the image.", least=1)]
     camera_name: Annotated[str | None, Key("Name of the camera.", presence=Presence.IF_KNOWN)] = None
-    camera_matrix: Annotated[Matrix, Key("[fx, 0, cx, 0, fy, cy, 0, 0, 1], in pixels; pixel (0, 0) is a centre.")]
+    camera_matrix: Annotated[
+        Matrix | None,
+        Key("[fx, 0, cx, 0, fy, cy, 0, 0, 1], in pixels; pixel (0, 0) is a centre.", presence=Presence.IF_KNOWN),
+    ] = None
+    frustum: Annotated[
+        Frustum | None, Key("Instead of it, the near plane of a virtual camera.", presence=Presence.IF_KNOWN)
+    ] = None
     distortion_model: Annotated[Literal["plumb_bob", "rational_polynomial"], Key("Distortion model by its ROS name.")]
     distortion_coefficients: Annotated[
         Matrix, Key("In the order of OpenCV: k1, k2, p1, p2, k3; for `rational_polynomial` also k4, k5, k6.")
@@ -123,15 +154,12 @@ def camera_of(fields: Fields, schema: str = SCHEMA) -> Camera:
 def checked_camera(fields: Fields, info: CameraInfo) -> Camera:
     """The camera that was read from `fields`; rejected if its matrix or lens is impossible."""
     coefficients = _coefficients(fields, info)
-    for name, count in (("rows", info.camera_matrix.rows), ("cols", info.camera_matrix.cols)):
-        if count != 3:
-            raise fields.problem(f"camera_matrix.{name}", f"is {count}, must be 3")
-    matrix = _numbers(fields, "camera_matrix", info.camera_matrix)
+    matrix = _matrix(fields, info)
     camera = Camera(
         camera_name=info.camera_name or "",
         image_width=info.image_width,
         image_height=info.image_height,
-        camera_matrix=checked_matrix(fields, matrix.reshape(3, 3)),
+        camera_matrix=checked_matrix(fields, matrix),
         distortion_model=info.distortion_model,
         distortion_coefficients=coefficients,
         covariance=checked_parameters(fields, info.covariance, camera_parameters(len(coefficients))),
@@ -171,6 +199,23 @@ def stereo_values(camera: Camera) -> dict[str, Any]:
         }
         | covariance
     )
+
+
+def _matrix(fields: Fields, info: CameraInfo) -> Float64[Array, "3 3"]:
+    """The camera matrix, which is given itself or by a frustum."""
+    if (info.camera_matrix is None) == (info.frustum is None):
+        finding = "has neither camera_matrix nor frustum" if info.frustum is None else "has camera_matrix and frustum"
+        raise fields.problem("", finding, "give one of them")
+    if info.frustum is not None:
+        for low, high in (("left", "right"), ("bottom", "top")):
+            if not getattr(info.frustum, low) < getattr(info.frustum, high):
+                raise fields.problem(f"frustum.{high}", f"must be greater than {low}", "y is upwards, as in OpenGL")
+        return info.frustum.camera_matrix(info.image_width, info.image_height)
+    assert info.camera_matrix is not None
+    for name, count in (("rows", info.camera_matrix.rows), ("cols", info.camera_matrix.cols)):
+        if count != 3:
+            raise fields.problem(f"camera_matrix.{name}", f"is {count}, must be 3")
+    return _numbers(fields, "camera_matrix", info.camera_matrix).reshape(3, 3)
 
 
 def _numbers(fields: Fields, key: str, matrix: Matrix) -> Float64[Array, "n"]:
