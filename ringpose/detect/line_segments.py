@@ -7,14 +7,15 @@ Gradient and anchors -> edge chains, continuous and one pixel wide -> straight p
 bright region between two parallel segments.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ringpose.detect.difference_images import brightest_image
+from ringpose.detect.difference_images import LaserImage, brightest_image
 from ringpose.kernels import _kernels
 from ringpose.types.arrays import Array, Bool, Float64, Int16, Int32, Int64, UInt, UInt8, UInt16
-from ringpose.types.detection import UNLABELLED, Detection, NoBreakPoints, Segments, Stripes
+from ringpose.types.detection import UNLABELLED, BreakPoints, Detection, NoBreakPoints, Segments, Stripes
 from ringpose.types.image import Shot, full_scale_dn
 from ringpose.types.options import SegmentMethod
 
@@ -244,6 +245,56 @@ def segments_only(shot: Shot, method: SegmentMethod = SegmentMethod.REFINED) -> 
         break_points=NoBreakPoints.NOT_SOUGHT,
         segments=find_segments(brightest_image(shot), method=method, saturation_dn=shot.saturation_dn),
     )
+
+
+PIXEL_END_SIGMA_PX = 1.0
+"""Standard deviation, in each direction, that is stated for the pixel ends of chords; the paper states none."""
+
+
+def with_pixel_ends(points: BreakPoints, images: Sequence[LaserImage]) -> BreakPoints:
+    """The break points as the paper's detector gives them: the middle between the end pixels of a stripe's two edges.
+
+    The edges are the chords (length condition, whole pixels) beside the stripe on the ring's face, which is known
+    already: which of all segments are those of the face the paper does not say. An edge that is broken by speckle ends
+    where the outermost of its chords ends. NaN where a side has no edge.
+    """
+    position_px = np.full_like(points.position_px, np.nan)
+    for image in images:
+        signal = image.lit if image.dark is None else np.where(image.lit > image.dark, image.lit - image.dark, 0)
+        chords_px = find_segments(
+            signal.astype(image.lit.dtype), method=SegmentMethod.LENGTH, saturation_dn=image.threshold_scale_dn
+        )
+        for laser in image.lasers:
+            position_px[laser] = _pixel_ends(chords_px, points.position_px[laser])
+    opposite = None if points.opposite is None else with_pixel_ends(points.opposite, images)
+    seen = np.isfinite(position_px[..., :1, None])
+    covariance_px2 = np.where(seen, PIXEL_END_SIGMA_PX**2 * np.eye(2), np.nan)
+    return replace(points, position_px=position_px, covariance_px2=covariance_px2, repeated=None, opposite=opposite)
+
+
+def _pixel_ends(segments: Segments, ends_px: Float64[Array, "edge=2 xy=2"]) -> Float64[Array, "edge=2 xy=2"]:
+    """The ends of a stripe by the chords along it; NaN unless there are chords on both sides and ends to look near."""
+    order = np.argsort(ends_px[:, 0])
+    (left, first), (right, last) = ends_px[order].tolist()
+    found = np.full((2, 2), np.nan)
+    if not np.isfinite(ends_px).all() or right - left < MINIMUM_COLUMNS:
+        return found
+    from_left = np.where(
+        (segments.start_px[:, 0] <= segments.end_px[:, 0])[:, None], segments.start_px, segments.end_px
+    )
+    to_right = segments.start_px + segments.end_px - from_left
+    slope, reach = (last - first) / (right - left), WIDTH_PX[1] / 2
+    over = np.minimum(to_right[:, 0], right) - np.maximum(from_left[:, 0], left)
+    off_px = [each[:, 1] - first - slope * (each[:, 0] - left) for each in (from_left, to_right)]
+    along = (over >= MINIMUM_COLUMNS - 1) & (np.maximum(np.abs(off_px[0]), np.abs(off_px[1])) < reach)
+    sides = [along & (side * (off_px[0] + off_px[1]) > 0) for side in (-1, 1)]
+    if all(side.any() for side in sides):
+        outermost = [
+            [each[side][getattr(each[side][:, 0], extreme)()] for side in sides]
+            for each, extreme in ((from_left, "argmin"), (to_right, "argmax"))
+        ]
+        found[order] = np.mean(outermost, axis=1)
+    return found
 
 
 WIDTH_PX = (1.5, 14.0)

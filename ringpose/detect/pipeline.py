@@ -126,13 +126,16 @@ def detect(
     *,
     source: StripeSource = StripeSource.CENTERS,
     edges: bool = True,
+    pixel_ends: bool = False,
 ) -> Detection:
     """Stripes, break points (or the reason why there are none) and, unless `edges` is false, the ring's visible edges.
+
+    With `pixel_ends` the break points are those of the paper's line detector, once the ring is found.
 
     The steps are those of ringpose-method(7), section 3.
     """
     if rig.stripes_along_columns:
-        return _detected_along_columns(shot, rig, prior, source, edges=edges)
+        return _detected_along_columns(shot, rig, prior, source, edges=edges, pixel_ends=pixel_ends)
     view = shot_view(shot, rig, prior)
     blank = blank_detection(view)
     if not view.images:
@@ -144,6 +147,8 @@ def detect(
         named, visible, missing = visible_edges(search.judged(), search, view, source, wanted=edges)
         clear = confirmed(named, visible, view)
         points = clear if source is StripeSource.SEGMENTS else with_repetition(clear, view, search.motion)
+        if pixel_ends:
+            points = _with_pixel_ends(points, view)
     except Stop as stop:
         reason = explained(stop.reason, search.stripes, view)
         return replace(seen, break_points=reason, advice=exposure_advice(reason, shot, view.images))
@@ -157,7 +162,9 @@ def detect(
     )
 
 
-def _detected_along_columns(shot: Shot, rig: Rig, prior: Prior, source: StripeSource, *, edges: bool) -> Detection:
+def _detected_along_columns(
+    shot: Shot, rig: Rig, prior: Prior, source: StripeSource, *, edges: bool, pixel_ends: bool
+) -> Detection:
     """What `detect` finds in the shot turned by 90 degrees, in the pixels of the shot as it was given."""
     from ringpose.geometry.quarter_turn import rig_along_rows, to_columns, to_rows  # for few rigs
 
@@ -169,7 +176,7 @@ def _detected_along_columns(shot: Shot, rig: Rig, prior: Prior, source: StripeSo
         background=turn.frame(prior.background),
         ghosts=turn.ghosts(prior.ghosts),
     )
-    detection = detect(turn.shot(shot), rig_along_rows(rig), turned, source=source, edges=edges)
+    detection = detect(turn.shot(shot), rig_along_rows(rig), turned, source=source, edges=edges, pixel_ends=pixel_ends)
     return to_columns(rig.camera).detection(detection)
 
 
@@ -316,6 +323,13 @@ def confirmed(points: BreakPoints, visible: RingEdgePoints | None, view: View) -
     if visible is None and hidden_by_saturation(points, view.images, view.saturation_dn):
         raise Stop(NoBreakPoints.HIDDEN_BY_SATURATION)
     return points
+
+
+def _with_pixel_ends(points: BreakPoints, view: View) -> BreakPoints:
+    """The break points as the paper's line detector gives them; it is imported only if needed."""
+    from ringpose.detect.line_segments import with_pixel_ends
+
+    return with_pixel_ends(points, view.images)
 
 
 # Stripes

@@ -78,7 +78,7 @@ class Setup:
         known = replace(prior or NOTHING_KNOWN, camera=_moving(self.camera))
         if known.assumptions is None:
             known = replace(known, assumptions=self.assumptions(shot))
-        return detect(shot, self.rig, known)
+        return detect(shot, self.rig, known, pixel_ends=self.method is Method.PAPER_DETECTOR)
 
     def assumptions(self, source: Shot | Detection) -> Assumptions:
         """What is assumed about a shot."""
@@ -281,6 +281,9 @@ def _measured(
 ) -> tuple[Detection, PoseLine]:
     """The detection and the pose line of a source, with the time that its stages took."""
     if isinstance(source, Detection):
+        if setup.method is Method.PAPER_DETECTOR:
+            finding = f"is a detection: method {setup.method.value} needs the pixels where the line detector ends"
+            raise DataError(source.shot, finding, "give the shot")
         return source, setup.line(source)
     start_s = perf_counter()
     assumptions = setup.assumptions(source)

@@ -279,7 +279,7 @@ def constrained_form(points_m: Float64[Array, "batch point xyz=3"], edges: Int64
     )
 
 
-FORMS = {Method.PAPER: paper_form, Method.PAPER_CONSTRAINED: constrained_form}
+FORMS = {Method.PAPER: paper_form, Method.PAPER_DETECTOR: paper_form, Method.PAPER_CONSTRAINED: constrained_form}
 """The closed form of each method."""
 
 

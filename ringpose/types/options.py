@@ -46,6 +46,8 @@ class Method(StrEnum):
     ML = "ml"
     PAPER = "paper"
     PAPER_CONSTRAINED = "paper-constrained"
+    PAPER_DETECTOR = "paper-detector"
+    """The paper's closed form from the pixel ends of its line detector, instead of from measured break points."""
 
 
 class Minimized(StrEnum):

@@ -320,6 +320,8 @@ class StudyMethod(StrEnum):
     """Maximum likelihood with the true radii as prior, standard deviation 0.5 mm."""
     PAPER = "paper"
     PAPER_CONSTRAINED = "paper-constrained"
+    PAPER_DETECTOR = "paper-detector"
+    """The paper's closed form from the pixel ends of its line detector, in images."""
     BISECTORS = "bisectors"
     """Perpendicular bisectors of the chords between neighbouring break points, in the plane of all points."""
     POINTS = "points"

@@ -7,8 +7,12 @@ line is the mean of the two. Times are processor times on one core.
 """
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,7 +23,7 @@ from benchmarks.stripe_images import Kind, StripeImage, shot_of, stripe_image, s
 from benchmarks.timing import median_times_s, one_core
 
 from ringpose.detect.pipeline import detect
-from ringpose.types.arrays import Array, Float64
+from ringpose.types.arrays import Array, Float64, UInt8
 from ringpose.types.detection import Segments
 from ringpose.types.table import Table
 
@@ -146,6 +150,36 @@ def _chain_figures(images: Sequence[StripeImage]) -> dict[str, float]:
         "end sd px": robust_sd(errors.along_px),
         "false": float(is_wrong.sum()) / len(images),
     }
+
+
+_MEMORY = """
+import sys
+from benchmarks.opencv_detectors import DetectorName, detector
+import numpy as np
+
+def kilobytes(key):
+    with open("/proc/self/status") as status:
+        return next(int(line.split()[1]) for line in status if line.startswith(key))
+
+image = np.load(sys.argv[2])
+find = detector(DetectorName(sys.argv[1]))
+find(image[:64, :64].copy())
+with open("/proc/self/clear_refs", "w") as refs:
+    refs.write("5")  # the peak begins anew
+before = kilobytes("VmRSS")
+find(image)
+print(kilobytes("VmHWM") - before)
+"""
+"""Prints by how many kB the memory of a new process grows, at its peak, while a detector runs for the first time."""
+
+
+def peak_memory_mb(name: DetectorName, image: UInt8[Array, "row column"]) -> float:
+    """Memory that a detector needs at its peak for an image, beside the image."""
+    with TemporaryDirectory() as folder:
+        np.save(f"{folder}/image.npy", image)
+        program = [sys.executable, "-c", _MEMORY, str(name), f"{folder}/image.npy"]
+        done = subprocess.run(program, cwd=Path(__file__).parents[1], check=True, capture_output=True, text=True)
+    return int(done.stdout) / 1024
 
 
 def table(title: str, figures: Mapping[str, Mapping[str, Any]]) -> str:

@@ -19,6 +19,9 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from benchmarks.compare_baseline import ASSUMPTIONS, RENDERED
+from benchmarks.compare_detectors import compare, peak_memory_mb
+from benchmarks.opencv_detectors import DetectorName
+from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
@@ -37,7 +40,7 @@ STILL = ("rig_a", "rig_b", "variants_a", "variants_b")
 MOVING = ("moving_b",)
 
 STUDIES = {
-    "paper-lights": ("paper", "paper-constrained", "ml", "ml-known"),
+    "paper-lights": ("paper", "paper-detector", "paper-constrained", "ml", "ml-known"),
     "paper-synthetic": ("paper", "paper-constrained", "ml", "ml-known"),
     "calibrated": ("ml", "ml-known", "paper-constrained"),
     "tumbling": ("ml", "track"),
@@ -220,25 +223,58 @@ def printed(words: Sequence[str]) -> str:
 
 
 def rendered_block(output: Path) -> list[str]:
-    """Median and largest errors of `ml`, and of the centre by the paper's closed form, by rig and distance."""
-    by = "rig,distance_m"
-    groups = bench_groups(output, "still-ml", STILL, ASSUMPTIONS, by)
-    paper = bench_groups(output, "still-paper", STILL, (*ASSUMPTIONS, "--method", "paper"), by)
-    rows = [["rig", "distance mm", "shots", "ok", "normal deg", "grasp mm", "centre mm", "centre mm, paper", "wrong"]]
-    for ours, theirs in zip(groups, paper, strict=True):
-        group = ours["group"]
-        place = [group["rig"], f"{1e3 * group['distance_m']:g}"] if group else ["all", ""]
-        wrong = f"{ours['wrong']['count']} of {ours['wrong']['judged']}"
-        errors = [pair(ours, "normal_rad", degrees(1)), pair(ours, "grasp_m", 1e3), pair(ours, "center_m", 1e3)]
-        counts = [str(ours["shots"]), str(ours["available"])]
-        rows.append([*place, *counts, *errors, pair(theirs, "center_m", 1e3), wrong])
+    """Median and largest errors of `ml`, by rig and distance."""
+    rows = [["rig", "distance mm", "shots", "ok", "normal deg", "grasp mm", "centre mm", "wrong"]]
+    for group in bench_groups(output, "still-ml", STILL, ASSUMPTIONS, "rig,distance_m"):
+        wrong = f"{group['wrong']['count']} of {group['wrong']['judged']}"
+        errors = [pair(group, "normal_rad", degrees(1)), pair(group, "grasp_m", 1e3), pair(group, "center_m", 1e3)]
+        rows.append([*place_of(group), str(group["shots"]), str(group["available"]), *errors, wrong])
     return list(table(rows))
+
+
+def papers_block(output: Path) -> list[str]:
+    """The same of the paper's closed form, from our break points and from the pixels where its line detector ends."""
+    rows = [["rig", "distance mm", "method", "poses", "normal deg", "grasp mm", "centre mm"]]
+    methods = ("paper", "paper-detector")
+    of_methods = [
+        bench_groups(output, f"still-{method}", STILL, (*ASSUMPTIONS, "--method", method), "rig,distance_m")
+        for method in methods
+    ]
+    for of_group in zip(*of_methods, strict=True):
+        for method, group in zip(methods, of_group, strict=True):
+            poses = (group["errors"].get("normal_rad") or {"count": 0})["count"]
+            errors = [pair(group, "normal_rad", degrees(1)), pair(group, "grasp_m", 1e3), pair(group, "center_m", 1e3)]
+            rows.append([*place_of(group), method, f"{poses} of {group['shots']}", *errors])
+    return list(table(rows, left=3))
+
+
+def place_of(group: dict) -> tuple[str, str]:
+    """Rig and distance of a group; `all` for the one of all shots."""
+    values = group["group"]
+    return (values["rig"], f"{1e3 * values['distance_m']:g}") if values else ("all", "")
 
 
 def pair(group: dict, name: str, factor: float) -> str:
     """Median and largest error."""
     errors = group["errors"].get(name) or {"count": 0}
     return f"{number(factor * errors['median'])} / {number(factor * errors['max'])}" if errors["count"] else "-"
+
+
+def detectors_block(_: Path) -> list[str]:
+    """Line detectors on one image each of stripes on black, with speckle, and before foil; memory before foil."""
+    kinds = (Kind.DARK, Kind.SPECKLE, Kind.BRIGHT_FOIL)
+    shown = (
+        DetectorName.HOUGH, DetectorName.LSD, DetectorName.EDGE_DRAWING,
+        DetectorName.LENGTH, DetectorName.REFINED, DetectorName.STRIPES,
+    )  # fmt: skip
+    images = {kind: [stripe_image(kind, seed, stripe_rig(lens=False)) for seed in range(3)] for kind in kinds}
+    figures = {kind: compare(images[kind], rounds=5) for kind in kinds}
+    rows = [["detector", *(f"{what}, {kind}" for what in ("time", "recall") for kind in kinds), "memory MB"]]
+    for name in shown:
+        times = [f"{figures[kind][name]['ratio']:.2f}" for kind in kinds]
+        recalls = [f"{figures[kind][name]['recall']:.2f}" for kind in kinds]
+        rows.append([str(name), *times, *recalls, f"{peak_memory_mb(name, images[Kind.BRIGHT_FOIL][0].image):.0f}"])
+    return list(table(rows))
 
 
 def assumptions_block(output: Path) -> list[str]:
@@ -264,9 +300,11 @@ def assumptions_block(output: Path) -> list[str]:
 
 BLOCKS: dict[str, Callable[[Path], list[str]]] = {
     "rendered": rendered_block,
+    "papers": papers_block,
     "assumptions": assumptions_block,
     "times": times_block,
     "chart": distance_chart,
+    "detectors": detectors_block,
     **{preset: study_block(preset) for preset in STUDIES},
     "integrity": integrity_block,
 }

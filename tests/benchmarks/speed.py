@@ -197,7 +197,11 @@ def pose_figures(rounds: int) -> list[Figure]:
     image = stripe_image(Kind.DARK, 0)
     points = exact_break_points(image)
     calls: dict[str, Callable[[], object]] = {SOLVE_PNP: solve_pnp(points, image.rig.camera)}
-    calls |= {method.value: partial(estimate_pose, points, image.rig, method) for method in Method}
+    calls |= {
+        method.value: partial(estimate_pose, points, image.rig, method)
+        for method in Method
+        if method.value in MAX_POSE_TIMES
+    }
     calls[Method.ML.value] = _ml(points, image.rig)
     calls["judgement"] = _judgement(shot_of(image), image.rig)
     calls["track step"] = _track_step(points, image.rig)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmarks.compare_detectors import compare, stripe_errors, table
+from benchmarks.compare_detectors import compare, peak_memory_mb, stripe_errors, table
 from benchmarks.detection_errors import break_point_errors, center_errors, column_bound_px, end_bound_px
 from benchmarks.limits import Figure, status
 from benchmarks.opencv_detectors import GIVES_CENTERS, DetectorName, detector
@@ -164,3 +164,9 @@ def test_the_table_has_every_detector_and_the_chain():
 def test_a_figure_beyond_a_limit_or_not_measured_is_status_3(capsys, measured, limits, is_kept):
     assert status([Figure(name="a", measured=measured, **limits)]) == (0 if is_kept else 3)
     assert ("MISSED" in capsys.readouterr().out) is not is_kept
+
+
+def test_the_memory_of_a_detector_is_that_of_its_copies_of_the_image(dark):
+    megabytes = peak_memory_mb(DetectorName.LSD, dark.image)
+
+    assert 8 * 0.64 * dark.image.size / 2**20 < megabytes < 200  # it scales the image to 0.8, in doubles

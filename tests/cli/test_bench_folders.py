@@ -36,6 +36,8 @@ def test_a_data_set_is_measured_by_every_method(data_set, capsys):
         ("ml", "V03_occl_B500_dim", "partial"),
         ("paper", "B_z0500_p01_dim", "wrong"),
         ("paper", "V03_occl_B500_dim", "wrong"),
+        ("paper-detector", "B_z0500_p01_dim", "wrong"),
+        ("paper-detector", "V03_occl_B500_dim", "partial_none"),
         ("paper-constrained", "B_z0500_p01_dim", "ok"),
         ("paper-constrained", "V03_occl_B500_dim", "partial"),
     }

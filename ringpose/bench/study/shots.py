@@ -62,6 +62,7 @@ POSE_METHODS = {
     StudyMethod.ML_KNOWN: (Method.ML, True),
     StudyMethod.PAPER: (Method.PAPER, False),
     StudyMethod.PAPER_CONSTRAINED: (Method.PAPER_CONSTRAINED, False),
+    StudyMethod.PAPER_DETECTOR: (Method.PAPER_DETECTOR, False),
 }
 """The methods of `ringpose pose`, and whether they are given the radii."""
 
@@ -73,6 +74,9 @@ _DEVIATIONS = ("rig_errors", "ring_tolerance_m", "displaced_share", "background_
 
 WITH_RADII = (StudyMethod.ML_KNOWN, StudyMethod.ELLIPSE, StudyMethod.ELLIPSE_REFINED)
 """The methods that are given the radii, to which the bound for known radii applies."""
+
+WITH_OWN_DETECTION = (StudyMethod.TRACK, StudyMethod.PAPER_DETECTOR)
+"""The methods that detect for themselves."""
 
 ERROR = "error"
 """Outcome of a shot whose computation failed."""
@@ -291,9 +295,11 @@ def run_result(
     """The lines of a run of shots by each method.
 
     The methods of `ringpose pose` measure the run as a stream: the line of the last shot is by the rig that the earlier
-    ones have corrected. The first of them detects for the others, but for a track, which predicts what the shots show.
+    ones have corrected. The first of them detects for the others, but for a track, which predicts what the shots show,
+    and for `paper-detector`, which has break points of its own.
     """
-    detecting = next((method for method in methods if method in POSE_METHODS), StudyMethod.ML)
+    shared = [method for method in methods if method in POSE_METHODS and method not in WITH_OWN_DETECTION]
+    detecting = next(iter(shared), StudyMethod.ML)
     detections: list[Detection] = []
     lines, pose_s, detect_s = {}, {}, 0.0
     for method in dict.fromkeys([detecting, *methods]):
@@ -304,9 +310,9 @@ def run_result(
             continue
         of_pose, known = POSE_METHODS.get(method, (Method.ML, False))
         setup = Setup(rig=rig, method=of_pose, known=radii if known else None, options=options)
-        is_track = method is StudyMethod.TRACK
+        is_track, has_own = method is StudyMethod.TRACK, method in WITH_OWN_DETECTION
         stream = Stream(setup, track_options(options) if is_track else None)
-        measured = [stream.measure(source) for source in (run if is_track or not detections else detections)]
+        measured = [stream.measure(source) for source in (run if has_own or not detections else detections)]
         detection_s = sum(result.line.stage_s.get("detect", 0.0) for result in measured)
         lines[method] = _line_of_track(measured[-1]) if is_track else measured[-1].line
         pose_s[method] = perf_counter() - start_s - detection_s

@@ -334,17 +334,21 @@ def _require_data_set(folder: Path, rig: Path | None) -> None:
 
 
 def _estimates_of(shot: "Shot", streams: "Sequence[Stream]") -> "Iterator[PoseEstimate]":
-    """The estimates of the methods; the first one detects for all of them, which counts in the latency of each."""
+    """The estimates of the methods; the first one detects for all of them, which counts in the latency of each.
+
+    But for `paper-detector`, which has break points of its own.
+    """
     from ringpose.bench.score import estimate_of
 
     source: Shot | Detection = shot
     detect_s = 0.0
     for stream in streams:
-        measured = stream.measure(source)
+        has_own = stream.setup.method is Method.PAPER_DETECTOR
+        measured = stream.measure(shot if has_own else source)
         line = measured.line
-        if measured.shot is not None and measured.detection is not None:
+        if not has_own and measured.shot is not None and measured.detection is not None:
             source, detect_s = measured.detection, line.stage_s["detect"]
-        else:
+        elif not has_own:
             line = replace(line, latency_s=line.latency_s + detect_s)
         yield replace(estimate_of(line, shot.name), method=stream.setup.method.value)
 

@@ -412,8 +412,8 @@ def _check(fields: Fields, study: Study) -> None:
             if factor.name == study.table:
                 raise fields.problem("table", f"is {study.table!r}, which a case changes", "give table: case")
             _check_factor(fields, f"cases.{name}.{factor.name}", factor, study)
-    if study.calibrate and study.level == "features":
-        raise fields.problem("calibrate", "needs images", "give level: images")
+    if study.level == "features":
+        _check_without_images(fields, study)
     if study.calibrate and (study.scene.camera_boards is None or study.scene.plane_boards is None):
         raise fields.problem("calibrate", "needs board views, and the scene has none", "add boards to the scene")
 
@@ -438,6 +438,14 @@ def _check_capture(fields: Fields, study: Study) -> None:
 
 UNUSED_IN_CAPTURE = ("speed_sd_m_s", "rate_sd_rad_s", "target", "surfaces")
 """Factors that a run of a capture has no use for: its target has a motion of its own."""
+
+
+def _check_without_images(fields: Fields, study: Study) -> None:
+    """Reject what needs images in a study of drawn features."""
+    if study.calibrate:
+        raise fields.problem("calibrate", "needs images", "give level: images")
+    if StudyMethod.PAPER_DETECTOR in study.methods:
+        raise fields.problem("methods", "has paper-detector, which needs images", "give level: images")
 
 
 def _check_factor(fields: Fields, key: str, factor: Factor, study: Study) -> None:
