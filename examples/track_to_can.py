@@ -20,18 +20,26 @@ from track_to_udp import Newest, command
 STATUS, GRASP, APPROACH, VELOCITY = range(4)
 """Frames by the offset of their identifier from --id."""
 
-POINT_M, UNIT, SPEED_M_S, SD_M, AGE_S = 1e-5, 1 / 32767, 1e-4, 1e-5, 1e-3
-"""Value of one bit: positions, directions, velocities, standard deviation and age."""
+POINT_M, UNIT, SPEED_M_S, LEVEL_M, AGE_S = 1e-5, 1 / 32767, 1e-4, 1e-5, 1e-3
+"""Value of one bit: positions, directions, velocities, protection level and age."""
 
 FRAMES = {"camera": 0, "tool": 1, "base": 2, None: 15}
 
-REASONS = {"": 0, "no track": 1, "the track is": 2, "not accurate": 4, "the stream": 5, "out of range": 6}
+REASONS = {
+    "": 0,
+    "no track": 1,
+    "the track is": 2,
+    "may be off": 4,
+    "nothing states": 4,
+    "the stream": 5,
+    "out of range": 6,
+}
 """Why it is a hold, by the beginning of what track_to_udp says; other holds are for a flag of the track."""
 
 FLAGGED = 3
 
 UNKNOWN = 0xFFFF
-"""Age and standard deviation that are not known or too large."""
+"""Age and protection level that are not known or too large."""
 
 
 def packed(fields):
@@ -77,7 +85,7 @@ def frames_of(said, age_s, counter):
         (int(follows), 8),
         (reason_of(said), 8),
         (unsigned(age_s, AGE_S), 16),
-        (unsigned(said.get("sd_m"), SD_M), 16),
+        (unsigned(said.get("level_m"), LEVEL_M), 16),
     ]
     return {
         GRASP: packed([*grasp, count]),
@@ -112,7 +120,8 @@ def main():
     )
     parser.add_argument("--rate", type=float, default=100.0, metavar="HZ", help="rounds of four frames a second")
     parser.add_argument("--patience", type=float, default=0.2, metavar="S", help="hold after so long without a line")
-    parser.add_argument("--grasp-m", type=float, default=0.003, help="standard deviation that is good enough")
+    parser.add_argument("--alert-limit-m", type=float, default=0.005, help="how far the grasp point may be off")
+    parser.add_argument("--alert-limit-deg", type=float, default=3.0, help="how far the normal may be off")
     limits = parser.parse_args()
     newest, tick_s, counter = Newest(sys.stdin), time.monotonic(), 0
     with can.Bus(interface=limits.interface, channel=limits.channel) as bus:

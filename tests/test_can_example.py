@@ -42,7 +42,7 @@ FOLLOW = {
     "grasp_m": [0.12345, -1.5, 5.0],
     "velocity_m_s": [0.01, -0.25, 0.0],
     "approach": [0.6, 0.0, -0.8],
-    "sd_m": 0.00031,
+    "level_m": 0.00031,
 }
 
 
@@ -53,7 +53,7 @@ def test_a_pose_is_decoded_as_it_was(bridge, decode):
     assert [signals[f"Velocity_{axis}"] for axis in "XYZ"] == pytest.approx(FOLLOW["velocity_m_s"], abs=5e-5)
     assert [signals[f"Approach_{axis}"] for axis in "XYZ"] == pytest.approx(FOLLOW["approach"], abs=2e-5)
     assert (str(signals["Command"]), str(signals["Reason"]), str(signals["Frame"])) == ("follow", "none", "base")
-    assert (signals["Age"], signals["Grasp_SD"]) == pytest.approx((0.045, 0.00031))
+    assert (signals["Age"], signals["Grasp_Level"]) == pytest.approx((0.045, 0.00031))
     assert signals["Counter"] == 21 % 16
 
 
@@ -63,7 +63,7 @@ def test_a_pose_is_decoded_as_it_was(bridge, decode):
         ({"do": "hold", "why": "no track for 0.3 s"}, "no_track"),
         ({"do": "hold", "why": "the track is lost"}, "track_not_valid"),
         ({"do": "hold", "why": "side_unknown"}, "flagged"),
-        ({"do": "hold", "why": "not accurate enough: 4.00 mm"}, "inaccurate"),
+        ({"do": "hold", "why": "may be off by 9.00 mm, 0.50 degrees"}, "inaccurate"),
         ({"do": "hold", "why": "the stream has ended"}, "ended"),
         ({**FOLLOW, "grasp_m": [0.0, 0.0, 5.3]}, "out_of_range"),
         ({**FOLLOW, "velocity_m_s": [4.0, 0.0, 0.0]}, "out_of_range"),
@@ -74,7 +74,7 @@ def test_a_hold_has_its_reason_and_no_numbers(said, reason, bridge, decode):
 
     assert (str(signals["Command"]), str(signals["Reason"]), str(signals["Frame"])) == ("hold", reason, "none")
     assert {name: signals[name] for name in NONE} == pytest.approx(NONE)
-    assert (signals["Age"], signals["Grasp_SD"]) == pytest.approx((65.535, 0.65535))
+    assert (signals["Age"], signals["Grasp_Level"]) == pytest.approx((65.535, 0.65535))
 
 
 def test_rounds_on_the_virtual_bus_are_complete_counted_and_end_with_a_hold(can, bridge, decode, monkeypatch):
