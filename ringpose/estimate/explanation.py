@@ -11,7 +11,7 @@ quantities that they have in common are determined (`Explanation.differing`).
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import inf, nan, sqrt
+from math import atan2, inf, isfinite, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -39,7 +39,8 @@ from ringpose.estimate.solver import (
     initial_guess,
     precise_ring,
 )
-from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives
+from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives, rotation_by
+from ringpose.geometry.rotations import cross
 from ringpose.types.detection import JudgedRing, Rejection
 from ringpose.types.finding import Finding
 from ringpose.types.pose import KnownRadii
@@ -179,9 +180,44 @@ def explain(
         best = _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
     if best is None:
         return None
+    best = _with_other_tilt(best)
     competing = (*best.competing, *([] if best.other_side is None else [best.other_side]))
     differing = frozenset[str]().union(*(differing_quantities(best.estimate, each) for each in competing))
     return replace(best, differing=differing)
+
+
+def _with_other_tilt(best: Explanation) -> Explanation:
+    """The explanation with that of the two tilts about a single stripe which fits better, and the other if it may hold.
+
+    Only the visible edges show this tilt, and an ellipse is the image of two circles, whose normals are mirrored in the
+    line of sight (Dhome et al., 1990): the one of the other tilt through the same stripe is tried.
+    """
+    measured, estimate = best.measured, best.estimate
+    lasers = set(measured.observations.laser.tolist())
+    if len(lasers) > 1 or not len(measured.edges.edge) or not estimate.determined:
+        return best
+    arcs, rates, normal = estimate.arcs, estimate.rates, estimate.arcs.axes[2]
+    along = cross(measured.rig.lasers.normal[lasers.pop()], normal)
+    along /= np.linalg.norm(along)
+    sight = -arcs.center
+    turn_rad = 2.0 * atan2(float(along @ cross(normal, sight)), float(normal @ sight))
+    start = JudgedRing(
+        origin_m=arcs.origin,
+        axes=arcs.axes @ rotation_by(turn_rad * along).T,
+        curvature_per_m=arcs.curvature,
+        half_band_m=arcs.half_band_m,
+        velocity_m_s=rates.velocity_m_s,
+        rate_rad_s=rates.rate_rad_s,
+        stamp_s=measured.reference_s if isfinite(measured.reference_s) else None,
+    )
+    other = estimate_ring(measured, best.prior, start)
+    if other is None or not differing_quantities(estimate, other):
+        return best
+    of_both = [each.chi2 + EDGE_NUMBERS * float(np.square(each.edge_residuals).mean()) for each in (estimate, other)]
+    if abs(of_both[1] - of_both[0]) > SIDE_SIGMAS**2:
+        return best if of_both[0] < of_both[1] else replace(best, estimate=other)
+    first, second = (estimate, other) if of_both[0] <= of_both[1] else (other, estimate)
+    return replace(best, estimate=first, competing=(*best.competing, second))
 
 
 def decision(measured: Measurements, prior: Prior, *, labelled: bool, edges_named: bool) -> Explanation | None:

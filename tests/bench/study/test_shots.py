@@ -418,3 +418,14 @@ def test_a_center_is_determined_only_within_the_limit_of_its_flag(study):
 
     assert small.stripes == large.stripes == 3
     assert (small.determined[False], large.determined[False]) == (("center", "grasp"), ("grasp",))
+
+
+@pytest.mark.parametrize(("seed", "index"), [(21, 6), (26, 54)])
+def test_two_tilts_about_one_stripe_whose_ellipses_fit_leave_the_pose_open(seed, index):
+    """A small ring that one stripe crosses: its lit edges are the image of two circles through that stripe."""
+    sizes = replace(read_study(study_path("sizes"), 4, seed), methods=(StudyMethod.ML,))
+
+    (row,) = study_rows(sizes, index)
+
+    assert row["wrong"] == ""
+    assert row["status"] != "ok" or row["center_nees"] < 10.0
