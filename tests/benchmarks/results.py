@@ -4,7 +4,7 @@
 
 Every table is the result of commands that the page names: studies, and poses of the shared renders scored by
 `ringpose bench`. DIR (default: build/results) keeps the results of the studies, which are resumed from there. It takes
-about an hour on two cores.
+about an hour on two cores, and for the captures three more.
 """
 
 import argparse
@@ -25,12 +25,15 @@ from benchmarks.stripe_images import Kind, stripe_image, stripe_rig
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from ringpose.bench.capture.score import CaptureOutcome, CaptureStatistics, statistics_of
 from ringpose.bench.integrity import integrity_table
 from ringpose.bench.study.table import Statistics, StudySummary, sorted_keys, summarized, value_text
 from ringpose.bench.table import number
 from ringpose.cli.main import main as ringpose
+from ringpose.files.records.captures import read_captures
 from ringpose.files.studies.results import read_results
 from ringpose.files.studies.specification import read_study, study_path
+from ringpose.types.capture import CaptureLine
 
 MANUAL = Path(__file__).parents[2] / "man"
 PAGE = MANUAL / "ringpose-results.7"
@@ -49,7 +52,7 @@ STUDIES = {
 }
 """The presets whose results the page shows, with the methods that stand in its tables."""
 
-COUNTS = {"calibrated": 10, "integrity": 30}
+COUNTS = {"calibrated": 10, "integrity": 30, "capture": 300}
 """Shots of each cell where the page does not take the preset's own number."""
 
 DISTANCES_M = np.linspace(0.2, 1.0, 9)
@@ -86,6 +89,49 @@ def table(rows: Sequence[Sequence[str]], left: int = 1) -> Iterator[str]:
     yield " ".join(sides) + "."
     yield from ("\t".join(row) for row in rows)
     yield ".TE"
+
+
+# Captures
+
+
+def capture_block(output: Path) -> list[str]:
+    """The table of the preset `capture`: a row for each rate of the target, then for each light and base."""
+    folder = output / "capture"
+    command = ["bench", "study", "capture", "--output", str(folder), "--count", str(COUNTS["capture"])]
+    if (status := ringpose(command)) not in (0, 3):
+        raise SystemExit(status)
+    return capture_rows(list(read_captures(folder / "captures.jsonl")))
+
+
+def capture_rows(lines: Sequence[CaptureLine]) -> list[str]:
+    """The rows by single groups, and of all runs."""
+    headings = ["runs", "captured", "missed", "open", "at least %", "error mm", "tilt deg", "time s"]
+    rows = [["", *headings]]
+    for group in ("target_rate_rad_s", "light", "floating_base", "lost_share", "latency_s", ""):
+        cells = statistics_of(lines, (group,) if group else ())
+        for (_, key), each in sorted(cells.items(), key=lambda item: len(item[0][1]) and str(item[0][1])):
+            rows.append([capture_heading(group, *key), *capture_cells(each)])
+    return list(table(rows))
+
+
+def capture_heading(group: str, text: str = "") -> str:
+    """The name of a row."""
+    names = {"floating_base": {"true": "floating base", "false": "fixed base"}, "": {"": "all"}}
+    ends = {"lost_share": "shots lost: ", "latency_s": "latency (s): "}
+    return names.get(group, {}).get(text) or f"{ends.get(group, '')}{text}"
+
+
+def capture_cells(each: CaptureStatistics) -> list[str]:
+    """The figures of a row; errors and times are medians of the closings."""
+    counts = (CaptureOutcome.SUCCESS, CaptureOutcome.MISS, CaptureOutcome.NO_CLOSING)
+    return [
+        str(len(each.outcomes)),
+        *(str(each.count(outcome)) for outcome in counts),
+        number(100.0 * each.success_bound),
+        number(1e3 * float(np.median(each.radial_m)) if each.radial_m else nan),
+        number(degrees(np.median(each.tilt_rad)) if each.tilt_rad else nan),
+        number(float(np.median(each.closed_s)) if each.closed_s else nan),
+    ]
 
 
 # Studies
@@ -305,6 +351,7 @@ BLOCKS: dict[str, Callable[[Path], list[str]]] = {
     "times": times_block,
     "chart": distance_chart,
     "detectors": detectors_block,
+    "capture": capture_block,
     **{preset: study_block(preset) for preset in STUDIES},
     "integrity": integrity_block,
 }
