@@ -52,8 +52,6 @@ class PointOptions:
 
     def check(self, rig: Path | None, output: str, force: bool, resume: bool) -> None:
         """Reject options that points are missing for, and a file that cannot be written."""
-        from ringpose.files import atomic, point_clouds
-
         if self.points is None:
             for field in fields(self):
                 if getattr(self, field.name) != field.default:
@@ -68,6 +66,8 @@ class PointOptions:
         elif self.on_stdout and output != STDIN:
             raise UsageError("--points", "and --output both write on standard output", "name a .ply or .npz file")
         elif not self.on_stdout:
+            from ringpose.files import atomic, point_clouds  # not imported without points
+
             point_clouds.check_name(Path(self.points))
             atomic.reject_existing(Path(self.points), force)
 
