@@ -480,7 +480,7 @@ _TRUTH_COLUMNS = (
 )  # fmt: skip
 
 
-CAPTURE_ERRORS = ("radial_m", "tilt_rad")
+CAPTURE_ERRORS = ("radial_error_m", "tilt_error_rad")
 """Errors of a gripper that has closed: its distance from the middle of the band, and its angle to the normal."""
 
 CAPTURE_VECTORS = ("gripper", "approach", "ring_center", "ring_normal")

@@ -86,8 +86,8 @@ def row_of(line: CaptureLine) -> Row:
         row |= {f"{name}_{axis}": float(part) for axis, part in zip("xyz", vector, strict=True)}
     return row | {
         "closed_s": line.closed_s,
-        "radial_m": scored.radial_m,
-        "tilt_rad": scored.tilt_rad,
+        "radial_error_m": scored.radial_m,
+        "tilt_error_rad": scored.tilt_rad,
         "ring_radius_inner_m": line.ring.radius_inner_m,
         "ring_radius_outer_m": line.ring.radius_outer_m,
         "window_m": line.gripper.radial_m,

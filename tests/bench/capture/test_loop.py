@@ -74,7 +74,7 @@ def test_a_run_captures_the_ring_and_is_the_same_when_it_is_computed_again(study
 
     assert row["outcome"] == "success", row
     assert row["capture_probability"] > 0.95
-    assert row["radial_m"] < 0.002
+    assert row["radial_error_m"] < 0.002
     assert list(row) == list(columns(study))
     for name in CAPTURE_TIMES:
         del row[name], again[name]
