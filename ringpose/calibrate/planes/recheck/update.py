@@ -215,12 +215,12 @@ def board_evidence(view: StripeView, rig: Rig) -> PlaneEvidence:
         blocks.append(_reduced(np.vstack([np.eye(2, 2 + rows.shape[1]), np.hstack([modes, rows])]), 2))
     reduced = _reduced(np.concatenate(blocks), 6)  # without the board's pose
     (pose,), names = state.poses, parameter_names(rig.camera.distortion_model)
-    # The change of both focal lengths together is an error of its own; residuals r of the rows mean A q = -r.
+    # The change of both focal lengths together is an error of its own.
     focal_px = rig.camera.camera_matrix[[0, 1], [0, 1]]
     wrt_ratio = reduced[:, [-1 - len(names), -len(names)]] @ focal_px
     return PlaneEvidence(
         parameters=(*laser_parameters(rig.lasers.names), *names, FOCAL_RATIO),
-        rows=np.column_stack([reduced[:, :-1], wrt_ratio, -reduced[:, -1]]),
+        rows=np.column_stack([reduced[:, :-1], wrt_ratio, reduced[:, -1]]),
         normal=pose.rotation[:, 2],
         place_m=pose.translation_m,
     )
