@@ -45,9 +45,9 @@ from ringpose.cli.options.track import (
 )
 from ringpose.errors import NO_POSE, DataError, UsageError
 from ringpose.types import plausible
+from ringpose.types.assumptions import RISK
 from ringpose.types.options import STDIN, Method
 from ringpose.types.plausible import Range
-from ringpose.types.protection import RISK
 
 if TYPE_CHECKING:
     from ringpose.cli.overlays import PosePictures

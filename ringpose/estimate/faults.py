@@ -90,7 +90,7 @@ def faults_of(measured: Measurements, residuals: Residuals, prior: Prior, fixed:
 
 def _wrong_ends(measured: Measurements, residuals: Residuals) -> Iterator[Fault]:
     points = measured.points
-    for end in np.unique(points.ends).tolist():
+    for end in sorted(set(points.ends.tolist())):
         columns = np.zeros((len(residuals.residual), 1))
         columns[_point_rows(measured), 0] = np.where(points.ends == end, _per_sigma(measured, END_SD_PX), 0.0)
         yield Fault(f"end {end}", END_PROBABILITY, columns, end // 4)
@@ -106,7 +106,7 @@ def _wrong_stripes(measured: Measurements, residuals: Residuals) -> Iterator[Fau
     per_sigma = _per_sigma(measured, BOTH_ENDS_SD_PX)
     sds = np.array([SURFACE_DISTANCE_SD_M, SURFACE_TILT_SD_RAD, SURFACE_TILT_SD_RAD])
     for laser in measured.lasers:
-        ends = np.unique(points.ends[points.laser == laser])
+        ends = np.array(sorted(set(points.ends[points.laser == laser].tolist())))
         columns = np.zeros((len(residuals.residual), len(ends) + 3))
         columns[_point_rows(measured), : len(ends)] = np.where(points.ends[:, None] == ends, per_sigma[:, None], 0.0)
         if len(ends) > 1:
@@ -150,7 +150,7 @@ def _wrong_edges(measured: Measurements, residuals: Residuals) -> Iterator[Fault
         return
     focal = float(measured.rig.camera.camera_matrix[0, 0])
     per_sigma = EDGE_SD_PX / focal / np.maximum(np.hypot(*edges.step.T), 1e-12)
-    for edge in np.unique(edges.edge).tolist():
+    for edge in sorted(set(edges.edge.tolist())):
         of_edge = edges.edge == edge
         along = edges.ray[:, 0]
         middle, half = along[of_edge].mean(), np.ptp(along[of_edge]) / 2.0 + 1e-12

@@ -5,8 +5,10 @@ from math import radians
 from typing import Annotated
 
 from ringpose.types import plausible
-from ringpose.types.protection import RISK
 from ringpose.types.record import Key
+
+RISK = 1e-5
+"""Default probability with which an error may exceed its protection level."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,9 +9,6 @@ import numpy as np
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.record import Key
 
-RISK = 1e-5
-"""Default probability with which an error may exceed its level."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Protection:

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from schemas import validated
 from spoiled_values import outcome, spoiled_once
-from whole_records import VERSION_1, complete_line, complete_track, complete_truth, full_detection, record_of
+from whole_records import VERSION_1, complete_line, complete_track, complete_truth, full_detection, record_of, square
 
 from ringpose.files import records
 from ringpose.files.cameras.ros import CameraFile, CameraInfo, Matrix
@@ -38,6 +38,8 @@ from ringpose.types.assumptions import RigStability
 from ringpose.types.board import Board
 from ringpose.types.capture import Arm, CaptureLine, CaptureLoop, FloatingBase, GripperState, TrueRing
 from ringpose.types.obstacles import Blanket, Cable, Heads
+from ringpose.types.options import PoseFrame
+from ringpose.types.points import LeftOut, ShotPoints, StripePoints
 from ringpose.types.rig import ParameterCovariance, RobotPose, ToolPose
 from ringpose.types.scene import (
     Approach,
@@ -212,6 +214,25 @@ KNOWN: Mapping[str, Any] = {
         legacy_pattern=True,
     ),
     "robot-pose": RobotPose(stamp_s=1.7e9, base_from_tool=TOOL),
+    "points": ShotPoints(
+        software="ringpose 0.2.0",
+        shot="a",
+        stamp_s=1.5,
+        frame=PoseFrame.BASE,
+        lasers=("l", "r"),
+        points=StripePoints(
+            position_m=RNG.normal(size=(2, 3)),
+            covariance_m2=np.stack([square(RNG, 3), square(RNG, 3)]),
+            noise_m=RNG.normal(size=(2, 3)),
+            intensity_dn=np.array([120.0, 80.0]),
+            laser=np.array([0, 1]),
+            stamp_s=np.array([1.4, 1.5]),
+            position_px=RNG.normal(size=(2, 2)),
+        ),
+        left_out=LeftOut(laser_unknown=1, no_intersection=2, no_robot_pose=3),
+        calibration_covariance=True,
+        rig="0" * 64,
+    ),
     "capture": CaptureLine(
         run="a",
         method="track",

@@ -13,7 +13,7 @@ from ringpose.bench.integrity import Integrity, integrity_table, levels_in
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import number
-from ringpose.types.protection import RISK
+from ringpose.types.assumptions import RISK
 from ringpose.types.study import BOUNDS, CASE, ERRORS, LIMITS, SIGMAS, TIMES, Factor, Row, Study, Value
 from ringpose.types.table import Table
 

@@ -17,9 +17,8 @@ from ringpose.files.scenes.scene import read_scene
 from ringpose.files.schema import FREE_PREFIX, STUDY, Fields, hint
 from ringpose.files.yaml import read_yaml
 from ringpose.types import plausible
-from ringpose.types.assumptions import AssumptionOptions, RigStability
+from ringpose.types.assumptions import RISK, AssumptionOptions, RigStability
 from ringpose.types.capture import CaptureLoop
-from ringpose.types.protection import RISK
 from ringpose.types.record import Key, Presence
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Scene
