@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from ringpose.errors import DataError
-from ringpose.files.rigs import median_board_rms_px, read_rig, require_mount, write_mount, write_rig
+from ringpose.files.rigs import median_board_rms_px, read_mount, read_rig, require_mount, write_mount, write_rig
 from ringpose.types.rig import LaserBow, LaserGhost, Mount, ParameterCovariance
 
 MIRROR = [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]]
@@ -57,6 +57,17 @@ def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
     assert (after.ghosts, after.bows) == (before.ghosts, before.bows)
     np.testing.assert_allclose(after.covariance.data, joint.data, rtol=1e-15)
     assert after.provenance["inputs"] == {str(tmp_path / "rig.yaml"): before.sha256}
+
+
+def test_the_covariance_of_poses_in_the_base_is_kept_instead_of_the_robots_errors(rig_file, tmp_path, rng):
+    rig = read_rig(rig_file())
+    root = 1e-3 * rng.normal(size=(6, 6))
+    mount = replace(rig.mount, robot_rotation_sd_rad=0.0, robot_translation_sd_m=0.0, pose_root=root)
+
+    write_rig(tmp_path / "new.yaml", replace(rig, mount=mount))
+
+    read = read_mount(tmp_path / "new.yaml").pose_root
+    np.testing.assert_allclose(read @ read.T, root @ root.T, atol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -112,6 +123,11 @@ def test_a_rounded_normal_is_normalised(rig_file):
             "lasers[1].distance_m: is -39.5, must be -5 to 5; give metres: -0.0395 if it is in millimetres, -0.395 if",
         ),
         ("lasers.0.projector_m", [-30, -40, 0], "lasers[0].projector_m: is -40, must be -5 to 5; give metres: -0.04"),
+        (
+            "mount.pose_covariance",
+            np.eye(6).tolist(),
+            "mount.pose_covariance: contains the robot's error, which robot_",
+        ),
         ("mount.tool_from_camera.0.3", 100.0, "mount.tool_from_camera: is 100, must be -5 to 5; give metres"),
         ("lasers.1.normal", [0, 0.6, 0.79], "lasers[1].normal: has length 0.992018, must be 1"),
         ("lasers.1.distance_m", 0, "lasers[1].distance_m: is 0: the plane contains the camera"),
