@@ -110,7 +110,8 @@ def detect(
     space.check(None if segments_only else rig, output, force, resume)
     loaded_rig = None if rig is None else read_rig(rig)
     motion = space.motion(loaded_rig, rig, inputs)
-    sink = DetectionSink(output, rig=rig, full=full or segments_only, force=force)
+    sha256 = "" if segments_only or loaded_rig is None else loaded_rig.sha256
+    sink = DetectionSink(output, rig=rig, rig_sha256=sha256, full=full or segments_only, force=force)
     batch = Batch()
     work = DetectInput(
         rig=loaded_rig,

@@ -80,6 +80,19 @@ def test_what_cannot_be_continued_is_wrong_usage(pose, words, option):
     assert (found.status, option in found.messages[0]) == (2, True)
 
 
+def test_detections_of_another_rig_are_not_continued(run, carried_data, tmp_path):
+    shot, rig = carried_data / "rig_b" / "shots" / "B_z0500_p00_dim.npz", carried_data / "rig_b" / "rig.yaml"
+    words = ["detect", shot, "--output", tmp_path / "found", "--resume"]
+    other = tmp_path / "other.yaml"
+    other.write_text(rig.read_text() + "\n")
+    assert run(*words, "--rig", rig).status == 0
+
+    for without in (["--rig", other], ["--segments-only"]):
+        found = run(*words, *without)
+        assert (found.status, found.out) == (65, [])
+        assert "was detected with another rig file" in found.messages[0]
+
+
 def test_detections_that_are_there_are_left_out(run, carried_data, tmp_path):
     shots = sorted((carried_data / "rig_b" / "shots").iterdir())[:2]
     words = ["detect", *shots, "--rig", carried_data / "rig_b" / "rig.yaml", "--output", tmp_path]

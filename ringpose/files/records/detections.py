@@ -136,22 +136,32 @@ def _check_positions(detection: Detection, camera: Camera, location: str) -> Non
 class DetectionSink:
     """Writes detections: records to stdout, or NPZ files to a folder.
 
-    The second of two shots with the same name is rejected if it would replace the file of the first.
+    The second of two shots with the same name is rejected if it would replace the file of the first. `rig_sha256` is
+    that of the file `rig`, empty without one.
     """
 
-    def __init__(self, output: str, *, rig: Path | None, full: bool, force: bool) -> None:
+    def __init__(self, output: str, *, rig: Path | None, rig_sha256: str, full: bool, force: bool) -> None:
         self.folder = None if output == records.STDOUT else atomic.make_folder(Path(output))
         self.rig = rig
+        self.rig_sha256 = rig_sha256
         self.full = full
         self.force = force
         self.names: set[str] = set()
 
     def has(self, item: Input | Problem) -> bool:
-        """Whether the detection of an input is in the folder already; its name is printed then."""
+        """Whether the detection of an input is in the folder already; its name is printed then.
+
+        One of another rig, or of a search without a rig, is a `DataError`: the folder would mix both.
+        """
         if self.folder is None or not isinstance(item, Path) or item.stem in self.names:
             return False
         path = self.folder / f"{item.stem}.npz"
         if path.exists():
+            of_file = detection_in(Archive(path)).rig
+            if of_file != self.rig_sha256:
+                found, given = (f"{sha256:.12}" or "none" for sha256 in (of_file, self.rig_sha256))
+                remedy = "resume with the rig of the interrupted run, or use another --output"
+                raise DataError(str(path), f"was detected with another rig file ({found}, not {given})", remedy)
             self.names.add(item.stem)
             records.write_name(path)
         return item.stem in self.names
