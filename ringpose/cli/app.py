@@ -104,7 +104,7 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
 
     A group of options that several commands share is thus defined once, by its data class, whose fields have defaults
     and are annotated with `typer.Option`. The command receives the group as one value. The help lists the group under
-    the data class's `PURPOSE`.
+    the data class's `PURPOSE`, except options with a panel of their own.
     """
     groups: dict[str, Any] = {}
     options = []
@@ -129,10 +129,10 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def for_purpose(purpose: str, option: Any) -> Any:
-    """A type that is annotated with `typer.Option`, listed under this purpose in the help."""
+    """A type that is annotated with `typer.Option`, listed under this purpose in the help if it states none itself."""
     value_type, info = get_args(option)
     listed = copy(info)
-    listed.rich_help_panel = purpose
+    listed.rich_help_panel = listed.rich_help_panel or purpose
     return Annotated[value_type, listed]
 
 
@@ -249,10 +249,11 @@ def check_report(report: Path | None, force: bool) -> None:
         reject_existing(report, force)
 
 
-_OUTPUT = file_option("--output", "-o", meaning="Where the result is written.")
+_OUTPUT = file_option("--output", "-o", meaning="Where the result is written.", purpose=OUTPUT)
 OutputFile = Annotated[Path, _OUTPUT]
 CalibrationOutput = Annotated[
-    Path | None, file_option("--output", "-o", meaning="Where the result is written; required to calibrate.")
+    Path | None,
+    file_option("--output", "-o", meaning="Where the result is written; required to calibrate.", purpose=OUTPUT),
 ]
 JsonFile = Annotated[
     str | None,

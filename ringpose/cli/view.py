@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from ringpose.cli import messages
-from ringpose.cli.app import Force, ImageChannel, Inputs, Quiet, RigFile, app, file_option
+from ringpose.cli.app import OUTPUT, Force, ImageChannel, Inputs, Quiet, RigFile, app, file_option
 from ringpose.cli.batch import Batch, with_progress
 from ringpose.cli.options.robot import RobotColumns, RobotConvention, check_frame
 from ringpose.cli.options.track import RobotPosesFile, camera_motion
@@ -41,7 +41,9 @@ def view(
     robot_poses: RobotPosesFile = None,
     robot_convention: RobotConvention = None,
     robot_columns: RobotColumns = None,
-    html: Annotated[Path | None, file_option("--html", meaning="Write the replay as one HTML page.")] = None,
+    html: Annotated[
+        Path | None, file_option("--html", meaning="Write the replay as one HTML page.", purpose=OUTPUT)
+    ] = None,
     port: PagePort = None,
     channel: ImageChannel = None,
     force: Force = False,

@@ -84,11 +84,27 @@ def test_options_are_listed_by_purpose_and_each_once(run):
     titles = [line.removesuffix(":") for line in lines if re.fullmatch(r"\w.*:", line)]
     options = [line.split()[0] for line in lines[lines.index("Options:") :] if line.startswith("  -")]
     assert titles[:2] == ["Arguments", "Options"]
+    detect = run("detect", "--help").out
+    assert detect.index("Output:") < next(k for k, line in enumerate(detect) if line.startswith("  --points"))
     assert {"What is assumed", "Robot", "Track", "Output"} < set(titles)
     assert len(options) == len(set(options))
     assert lines.index("What is assumed:") < lines.index(
         "  --still                 The target does not move within a shot."
     )
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["pose", "detect", "track", "view", "simulate", "simulate console", "bench study", "bench design"]
+    + [f"calibrate-{each}" for each in ("camera", "planes", "mount")],
+)
+def test_options_that_name_outputs_are_listed_together(run, command):
+    lines = run(*command.split(), "--help").out
+    output = {line.split()[0] for line in lines[lines.index("Output:") :] if line.startswith("  -")}
+    options = {line.split()[0] for line in lines if re.match(r"  -.* (FILE|DIR) ", f"{line} ")}
+    written = {"-o,", "--overlay", "--report", "--html", "--csv"} & options
+    assert written
+    assert written | {"--force"} <= output
 
 
 @pytest.mark.parametrize(

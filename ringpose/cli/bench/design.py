@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli.app import (
+    OUTPUT,
     STDOUT,
     CsvFile,
     Force,
@@ -88,7 +89,9 @@ def design(
         ),
     ] = 0.8,
     csv: CsvFile = None,
-    output: Annotated[Path | None, file_option("--output", "-o", meaning="Write the best rig (rig.yaml).")] = None,
+    output: Annotated[
+        Path | None, file_option("--output", "-o", meaning="Write the best rig (rig.yaml).", purpose=OUTPUT)
+    ] = None,
     report: Report = None,
     force: Force = False,
     quiet: Quiet = False,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import Force, Quiet, Report, check_report, file_option
+from ringpose.cli.app import OUTPUT, Force, Quiet, Report, check_report, file_option
 from ringpose.cli.batch import Batch, Jobs, with_total
 from ringpose.cli.bench.score import Cron, report_missed
 from ringpose.errors import UsageError
@@ -33,7 +33,10 @@ def study(
         ),
     ],
     output: Annotated[
-        Path, file_option("--output", "-o", meaning="Folder of the results; resumed if it exists.", metavar="DIR")
+        Path,
+        file_option(
+            "--output", "-o", meaning="Folder of the results; resumed if it exists.", metavar="DIR", purpose=OUTPUT
+        ),
     ],
     count: Annotated[
         int | None,

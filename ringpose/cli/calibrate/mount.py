@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ringpose.cli import messages
-from ringpose.cli.app import BoardFile, Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, app, file_option
+from ringpose.cli.app import OUTPUT, BoardFile, Force, ImageChannel, Inputs, Overlay, Quiet, Verbose, app, file_option
 from ringpose.cli.calibrate.outputs import LaserNames, LaserOrder
 from ringpose.cli.options.robot import RobotColumns, RobotConvention, tool_poses
 from ringpose.errors import DataError, UsageError
@@ -34,7 +34,10 @@ RobotPosesFile = Annotated[
     str,
     typer.Option("--robot-poses", metavar="FILE|DIR|-", help="Poses of the tool in the robot's base, one a view."),
 ]
-Output = Annotated[Path | None, file_option("--output", "-o", meaning="Where the rig, or the mount alone, is written.")]
+Output = Annotated[
+    Path | None,
+    file_option("--output", "-o", meaning="Where the rig, or the mount alone, is written.", purpose=OUTPUT),
+]
 EyeToHand = Annotated[
     bool, typer.Option("--eye-to-hand", help="The camera is fixed beside the robot, whose tool carries the board.")
 ]

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ringpose.cli.app import OUTPUT, file_option
 from ringpose.cli.pages import PagePort, announce
 
 if TYPE_CHECKING:
@@ -17,9 +18,9 @@ Width = Annotated[
 ]
 RecordFolder = Annotated[
     Path | None,
-    typer.Option("--output", "-o", readable=False, metavar="DIR", help="Folder for recorded shots and their truth."),
+    file_option("--output", "-o", metavar="DIR", meaning="Folder for recorded shots and their truth.", purpose=OUTPUT),
 ]
-Overwrite = Annotated[bool, typer.Option("--force", help="Replace an earlier recording.")]
+Overwrite = Annotated[bool, typer.Option("--force", help="Replace an earlier recording.", rich_help_panel=OUTPUT)]
 
 
 def console(

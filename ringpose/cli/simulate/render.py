@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ringpose.cli.app import Force, Quiet, Verbose, app
+from ringpose.cli.app import OUTPUT, Force, Quiet, Verbose, app
 from ringpose.cli.batch import Jobs
 from ringpose.cli.simulate.console import console
 from ringpose.cli.simulate.features import (
@@ -32,6 +32,7 @@ OutputFolder = Annotated[
         "-o",
         metavar="DIR",
         help="Folder for rig, shots, truth and calibration views; required without --features.",
+        rich_help_panel=OUTPUT,
     ),
 ]
 Count = Annotated[
@@ -40,7 +41,12 @@ Count = Annotated[
 ]
 Seed = Annotated[int | None, typer.Option("--seed", metavar="N", min=0, help="Use this seed instead of the scene's.")]
 Resume = Annotated[
-    bool, typer.Option("--resume", help="Continue an interrupted run of the same scene, seed and version.")
+    bool,
+    typer.Option(
+        "--resume",
+        help="Continue an interrupted run of the same scene, seed and version.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 
 
