@@ -302,7 +302,7 @@ class ConsolePage:
         """Send what the plots show to the browser that asks for it."""
         rows = list(self._rows)
         text = display.csv_of(TIME_LABEL, [row[0] for row in rows], [row[1:] for row in rows])
-        client.send_file_download("errors.csv", text.encode())
+        client.send_file_download("errors.csv", text.encode(), save_immediately=True)
 
     def _pick_rig(self, uploaded: Any) -> None:
         """Take over camera and lasers of a rig file."""

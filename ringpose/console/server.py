@@ -36,8 +36,20 @@ LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
 PANEL_PX = (400, 600, 900)
 """Widths of the panel; the first leaves more than half of a page of 1024 px to the scene. The pictures grow with it."""
 
-TEXT_STYLE = "<style>html { font-size: clamp(14px, 0.9vw, 26px); }</style>"
-"""Texts and controls grow with the window, from 1800 px on."""
+PAGE_STYLE = """<style>
+html { font-size: clamp(14px, 0.9vw, 26px); }
+@media (max-width: 36em) {
+  .mantine-Paper-root[style*="max-height: 60%"],
+  .mantine-Paper-root[style*="max-height: 60%"] .mantine-ScrollArea-content > div { width: 100% !important; }
+  div:has(> .mantine-Paper-root[style*="max-height: 60%"]):not(
+    :has(.mantine-ScrollArea-content > div > [style*="display: none"])) > div:has(canvas) { height: 40% !important; }
+}
+</style>"""
+"""Texts and controls grow with the window, from 1800 px on.
+
+In windows of at most 36 em, viser puts the panel, 20 em wide, over the lower 60 % of the scene. Here it then takes all
+the width, and the scene what is left above it, or the whole window while the panel is closed.
+"""
 
 BELOW_ALL = 1e9
 """Order of a control below those that are added later."""
@@ -65,7 +77,7 @@ def opened_server(host: str, port: int | None) -> viser.ViserServer:
     server.gui.main_panel.dock_right()
     server.gui.main_panel.set_width(PANEL_PX[0])
     server.gui.set_panel_label("ringpose")
-    server.gui.add_html(TEXT_STYLE, order=BELOW_ALL)
+    server.gui.add_html(PAGE_STYLE, order=BELOW_ALL)
     widths = {f"{each}": each for each in PANEL_PX}
     width: Any = server.gui.add_dropdown("panel width (px)", list(widths), order=BELOW_ALL)
     width.on_update(lambda _: server.gui.main_panel.set_width(widths.get(width.value, PANEL_PX[0])))

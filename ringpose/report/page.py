@@ -51,13 +51,15 @@ _PAGE = Template("""<!DOCTYPE html>
 <meta name="viewport" content="width=device-width">
 <title>$title</title>
 <style>
-body { font: 15px/1.45 sans-serif; color: #222; max-width: 1080px; margin: 2em auto; padding: 0 1em; }
+body { font: clamp(15px, .75vw, 22px)/1.45 sans-serif; color: #222; max-width: 72em; margin: 2em auto; padding: 0 1em; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; border-bottom: 1px solid #ccc; break-after: avoid; }
+p { overflow-wrap: anywhere; } .wide, figure { overflow-x: auto; }
 table { border-collapse: collapse; }
 td, th { padding: .15em .8em; text-align: right; border-bottom: 1px solid #e4e4e4; }
 td:first-child, th:first-child { text-align: left; } th { font-weight: 600; }
 .good { color: #17692c; } .can-be-improved { color: #9a6700; } .redo { color: #b3261e; }
 ol { padding-left: 1.4em; } figure { margin: 1em 0; } img { max-width: 100%; } figcaption { color: #555; }
+@media (max-width: 700px) { figure img { max-width: none; width: 700px; } }
 </style>
 </head>
 <body>
@@ -81,7 +83,7 @@ def _section(section: Section) -> str:
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(heading)}</th>" for heading in table.headings)
     rows = ["".join(_cell(str(cell)) for cell in row) for row in table.rows]
-    return "\n".join(["<table>", *(f"<tr>{cells}</tr>" for cells in (head, *rows)), "</table>"])
+    return "\n".join(['<div class="wide"><table>', *(f"<tr>{cells}</tr>" for cells in (head, *rows)), "</table></div>"])
 
 
 def _cell(text: str) -> str:

@@ -34,7 +34,7 @@ def chromium():
         browser.close()
 
 
-def test_a_replay_in_one_file_draws_its_scene_and_requests_nothing(chromium, carried_data, tmp_path):
+def test_a_replay_in_one_file_draws_its_scene_enlarges_pictures_and_requests_nothing(chromium, carried_data, tmp_path):
     data, file = carried_data / "rig_b", tmp_path / "replay.html"
     rig, shot, truth = (str(data / name) for name in ("rig.yaml", "shots/B_z0500_p01_dim.npz", "truth.jsonl"))
     assert main(["view", shot, "--rig", rig, "--truth", truth, "--html", str(file), "--quiet"]) == 0
@@ -57,7 +57,13 @@ def test_a_replay_in_one_file_draws_its_scene_and_requests_nothing(chromium, car
           x[0] = Math.min(x[0], c); x[1] = Math.max(x[1], c); y[0] = Math.min(y[0], r); y[1] = Math.max(y[1], r); });
         return Math.max((x[1] - x[0]) / w, (y[1] - y[0]) / h); }"""
     )
+    page.set_viewport_size({"width": 400, "height": 800})
+    page.locator("#picture").click()
+    full = page.locator("#picture").bounding_box()
+    page.locator("#picture").click()
+    small = page.locator("#picture").bounding_box()
     page.close()
+    assert full["width"] > 2 * small["width"]
     assert drawn > 100  # shades of the rings, planes and words
     assert filled > 0.85
     assert not problems
@@ -378,6 +384,28 @@ def test_html_in_the_reason_of_a_record_is_shown_as_text(chromium, carried_data,
         page.close()
         process.terminate()
         assert process.wait(300) == 143
+
+
+def test_in_a_narrow_window_the_scene_is_above_the_panel_and_fills_the_window_while_it_is_closed(page):
+    page.set_viewport_size({"width": 400, "height": 800})
+    page.wait_for_selector(".mantine-Paper-root", timeout=WAIT_MS)
+    scene, panel = page.locator("canvas").first, page.locator(".mantine-Paper-root[style*='max-height: 60%']")
+    above, below = scene.bounding_box(), panel.bounding_box()
+    assert (above["width"], below["width"]) == (400, 400)
+    assert above["y"] + above["height"] <= below["y"] + 1
+
+    page.get_by_text("ringpose", exact=True).click()
+    page.wait_for_function("() => document.querySelector('canvas').getBoundingClientRect().height > 700")
+
+
+def test_the_errors_are_saved_as_csv_by_their_button(page):
+    page.get_by_role("tab", name="Errors").click()
+    with page.expect_download(timeout=WAIT_MS) as download:
+        page.get_by_role("button", name="errors as CSV").click()
+    head, first, *_ = Path(download.value.path()).read_text().splitlines()
+    assert download.value.suggested_filename == "errors.csv"
+    assert head.startswith("time since the start (s),error of the centre (mm)")
+    assert len(first.split(",")) == len(head.split(","))
 
 
 def test_image_and_controls_are_in_view_in_narrow_and_wide_windows(page):

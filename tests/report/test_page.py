@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 import pytest
+from needed import needed_module, needed_program
 
 from ringpose.errors import UsageError
 from ringpose.report.figures import canvas, drawn, png_of
@@ -47,6 +48,26 @@ def test_texts_are_escaped_and_nothing_is_loaded():
     assert all(text in parser.text for text in ("a < b", "c & d", "<script>", "<i>", "1 < 2"))
     assert "<ol>\n<li>first &lt;a&gt;</li>\n<li>second</li>\n</ol>" in html
     assert re.findall(r"https?://|<script|<link", html) == []
+
+
+@pytest.mark.slow
+def test_a_page_with_long_words_and_a_wide_table_fits_a_narrow_window(tmp_path):
+    path = needed_program("chromium", "chromium")
+    api = needed_module("playwright.sync_api", "ringpose[dev]")
+    table = Table(headings=[f"column_{n}" for n in range(20)], rows=[[1.0] * 20])
+    figure = canvas(8, 1)
+    pictures = [Picture(png=png_of(figure), caption="empty")]
+    file = tmp_path / "page.html"
+    file.write_text(page("t", [Section(title="s", text=["f" * 200], table=table, pictures=pictures)]))
+
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        shown = browser.new_page(viewport={"width": 400, "height": 800})
+        shown.goto(file.as_uri())
+        width = shown.evaluate("document.documentElement.scrollWidth")
+        browser.close()
+
+    assert width == 400
 
 
 def test_a_picture_is_inside_the_page():
