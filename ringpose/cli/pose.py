@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from ringpose.cli.overlays import PosePictures
     from ringpose.files.inputs import Input, Problem
     from ringpose.files.records.line_file import LineFile
-    from ringpose.measure.stream import Measured, Stream
+    from ringpose.measure.stream import Measured, Setup, Stream
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Camera, Rig
     from ringpose.types.track import TrackLine
@@ -220,12 +220,22 @@ def _remaining(items: "Iterable[Input]", file: "LineFile | None", stream: "Strea
             raise DataError(
                 location, "was measured with another rig file", "give that one, or --force without --resume"
             )
+        _check_options(line, stream.setup, location)
         if all(shot_name(item) != line.shot for item in remaining):  # those before it had no line
             raise not_of_these_inputs(location, line.shot)
         stream.continue_after(line)
         if line.pose is None:
             batch.record_status(NO_POSE)
     yield from remaining
+
+
+def _check_options(line: "PoseLine", setup: "Setup", location: str) -> None:
+    """Reject a line of another frame or method: the file would mix both."""
+    method = setup.method if line.pose is None else line.pose.method
+    for option, of_line, now in (("--frame", line.frame, setup.frame), ("--method", method, setup.method)):
+        if of_line != now:
+            finding = f"was measured with {option} {of_line}, not {now}"
+            raise DataError(location, finding, "give that one, or --force without --resume")
 
 
 def _check_order(written: LineOptions, jobs: int, *, is_live: bool, track: bool, pictures: bool) -> None:

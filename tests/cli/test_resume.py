@@ -65,6 +65,15 @@ def test_lines_of_another_rig_are_not_continued(pose, tmp_path, rig):
     assert (found.status, "another rig file" in found.messages[0]) == (65, True)
 
 
+def test_lines_of_another_method_are_not_continued(pose, tmp_path):
+    pose("--output", tmp_path / "poses.jsonl")
+    interrupted(tmp_path / "poses.jsonl", tmp_path / "other.jsonl.part", 1)
+
+    found = pose("--output", tmp_path / "other.jsonl", "--resume", "--method", "paper")
+
+    assert (found.status, "was measured with --method ml, not paper" in found.messages[0]) == (65, True)
+
+
 @pytest.mark.parametrize(
     ("words", "option"),
     [
