@@ -112,7 +112,7 @@ def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str, cloud: Replay
         "middle_m": about.middle_m.tolist(),
         "radius_m": about.radius_m,
         "elements": [_values_of(element) for element in drawing.rig_elements(rig, ALL_LASERS, about.target_m)],
-        "legend": _legend(shots, poses),
+        "legend": _legend(shots, poses, rig),
         "times_s": times_s(shots),
         "timed": are_timed(shots) and len(shots) > 1,
         "cloud": [] if cloud is None else _cloud_values(cloud),
@@ -124,8 +124,8 @@ def replay_page(shots: Sequence[ReplayShot], rig: Rig, title: str, cloud: Replay
     return template.substitute(title=escape(title), data=text)
 
 
-def _legend(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> list[dict[str, str]]:
-    """What the colours of the three-dimensional view mean, of what some shot has."""
+def _legend(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None], rig: Rig) -> list[dict[str, str]]:
+    """What the colours of the three-dimensional view mean, of the rig and of what some shot has."""
     estimate = (
         ("estimate", drawing.RING_STYLES["pose"].color),
         ("grasp point", drawing.GRASP_COLOR),
@@ -136,7 +136,8 @@ def _legend(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> li
         entries = (*entries, ("truth, dashed", drawing.RING_STYLES["truth"].color))
     if any(shot.track is not None for shot in shots):
         entries = (*entries, ("track, dotted", drawing.RING_STYLES["track"].color))
-    return [{"text": text, "color": _css(color)} for text, color in entries]
+    lasers = ((f"laser {name}", drawing.laser_color(laser)) for laser, name in enumerate(rig.lasers.names))
+    return [{"text": text, "color": _css(color)} for text, color in (*entries, *lasers)]
 
 
 def _cloud_values(cloud: ReplayCloud) -> list[dict[str, Any]]:
@@ -206,7 +207,12 @@ def _title(name: str) -> str:
 
 
 def _plots(shots: Sequence[ReplayShot], poses: Sequence[RingPose | None]) -> list[dict[str, Any]]:
-    """Centre and grasp point with standard deviations, normal, and the errors where the truth is known."""
+    """Centre and grasp point with standard deviations, normal, and the errors where the truth is known.
+
+    None without a pose: their axes would have no meaning.
+    """
+    if all(pose is None for pose in poses):
+        return []
     plots = []
     for title, key in (("centre (mm)", "center"), ("grasp point (mm)", "grasp")):
         points_m = [None if pose is None else getattr(pose, f"{key}_m") for pose in poses]

@@ -92,7 +92,10 @@ def test_a_replay_without_poses_shows_the_detection(data_set, one_shot, tmp_path
 
     assert main(["view", one_shot, "--rig", str(data_set / "rig.yaml"), "--html", str(page)]) == 0
 
-    (shot,) = data_of(page)["shots"]
+    data = data_of(page)
+    (shot,) = data["shots"]
+    assert data["plots"] == []
+    assert [entry["text"] for entry in data["legend"]] == ["laser left", "laser middle", "laser right"]
     assert (shot["status"], shot["elements"]) == (
         "unmeasured",
         [{"kind": "lines", "name": "rings", "strokes": [], "width_px": 2.0}],

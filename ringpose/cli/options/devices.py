@@ -33,7 +33,7 @@ def seconds_or_auto(option: str, least_s: float, most_s: float, text: str) -> fl
         value_s = math.nan
     if not (least_s <= value_s <= most_s and math.isfinite(value_s)):
         most = f" to {most_s:g}" if most_s < math.inf else ""
-        raise UsageError(option, f'"{text}"', f"it is auto, or seconds from {least_s:g}{most}")
+        raise UsageError(option, f'"{text}"', f"give auto, or seconds from {least_s:g}{most}, also as 5ms or 500us")
     return value_s
 
 
