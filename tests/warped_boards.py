@@ -11,7 +11,7 @@ from ring_scenes import make_camera
 from ringpose.types.board import Board, BoardMarker
 
 CAMERA = make_camera((480, 360), (520.0, 518.0), (243.0, 176.0), (-0.12, 0.06, 0.0008, -0.0005, 0.0))
-SUBPIXELS, BLUR_PX, NOISE_DN = 3, 0.7, 1.5
+SUBPIXELS, BLUR_PX, NOISE_DN = 4, 0.7, 1.5
 DARK_DN, LIGHT_DN = 35.0, 205.0
 
 Ink = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -127,7 +127,7 @@ def rays() -> np.ndarray:
         seen = seen + pixels - projected_px(np.column_stack([directions, np.ones(len(seen))]), CAMERA)
     grid = directions.reshape(height + 2, width + 2, 2)
     by_y, by_x = (np.gradient(grid, axis=axis)[1:-1, None, 1:-1, None] for axis in (0, 1))
-    # Points of a pixel differ in x and in y, so that edges along rows and columns are drawn to a ninth of a pixel.
+    # Points of a pixel differ in x and in y, so that edges along rows and columns are drawn to a sixteenth of a pixel.
     coarse, fine = np.arange(SUBPIXELS) / SUBPIXELS - 0.5, (np.arange(SUBPIXELS) + 0.5) / SUBPIXELS**2
     x, y = (
         (offset)[None, :, None, :, None]

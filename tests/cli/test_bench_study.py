@@ -157,8 +157,8 @@ def test_a_report_has_every_section_and_no_external_reference(folder):
     assert main(words) == 0
 
     page = (folder / "page.html").read_text()
-    assert page.count("<img") == 5
-    assert all(word in page for word in ("Set-up", "bounds", "consistency", "Failures", "Time by stage", "Provenance"))
+    assert page.count("<img") == 6
+    assert all(word in page for word in ("Set-up", "bounds", "consistency", "Integrity", "Failures", "Provenance"))
     assert "http://" not in page
     assert ">nan<" not in page
 
