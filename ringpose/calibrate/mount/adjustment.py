@@ -148,7 +148,8 @@ def adjusted_mount(
     """The mount by maximum likelihood over the corners, with the robot's errors as unknowns.
 
     With `planes`, the start of the light planes, these are unknowns, too, by the stripes of the stations; the camera
-    has to be refined.
+    has to be refined. The iteration is not that of `geometry.least_squares`: the variances of the robot's errors are
+    estimated between its steps.
     """
     poses = poses or [board_pose(station.view, camera) for station in stations]
     corner_px = corner_sigmas(stations, poses, camera)
