@@ -389,10 +389,13 @@ def test_html_in_the_reason_of_a_record_is_shown_as_text(chromium, carried_data,
 def test_in_a_narrow_window_the_scene_is_above_the_panel_and_fills_the_window_while_it_is_closed(page):
     page.set_viewport_size({"width": 400, "height": 800})
     page.wait_for_selector(".mantine-Paper-root", timeout=WAIT_MS)
-    scene, panel = page.locator("canvas").first, page.locator(".mantine-Paper-root[style*='max-height: 60%']")
-    above, below = scene.bounding_box(), panel.bounding_box()
-    assert (above["width"], below["width"]) == (400, 400)
-    assert above["y"] + above["height"] <= below["y"] + 1
+    page.wait_for_function(
+        """() => {
+            const box = (name) => document.querySelector(name)?.getBoundingClientRect();
+            const scene = box("canvas"), panel = box(".mantine-Paper-root[style*='max-height: 60%']");
+            return panel && scene.width === 400 && panel.width === 400 && scene.bottom <= panel.top + 1;
+        }"""
+    )
 
     page.get_by_text("ringpose", exact=True).click()
     page.wait_for_function("() => document.querySelector('canvas').getBoundingClientRect().height > 700")
