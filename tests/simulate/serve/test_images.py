@@ -535,7 +535,7 @@ def test_fuzzed_headers_leave_the_server_alive_and_its_memory_flat(serve, monkey
     server = serve(rate_hz=100.0)
     with ImageClient(server.port) as client:  # what the first frames import and keep is not a leak
         client.frames(8)
-    fuzz(server.port, count // 10, seed=1)
+    fuzz(server.port, count // 2, seed=1)
     before = resident_bytes()
 
     fuzz(server.port, count, seed=2)
