@@ -7,7 +7,7 @@ probability that the ring will be within the gripper's window, when the fingers 
 """
 
 from dataclasses import dataclass, replace
-from math import isfinite, nan
+from math import isfinite, isnan, nan
 
 import numpy as np
 
@@ -220,11 +220,10 @@ class Guidance:
         guided, effect_s = self._guided, now_s + self._guided.delay_s
         gripper = _moved(base_from_tool, self._last, guided.delay_s) @ guided.tool_from_gripper
         then = ring.at(effect_s)
-        wanted, band_m = _wanted(then, gripper, 0.0 if self._distance_m != self._distance_m else self._distance_m)
-        apart_m = float((gripper.position_m - band_m) @ then.normal)
-        if self._distance_m != self._distance_m:
-            self._distance_m = max(apart_m, 0.0)
-            wanted, band_m = _wanted(then, gripper, self._distance_m)
+        band_m = then.nearest_m(gripper.position_m)
+        if isnan(self._distance_m):
+            self._distance_m = max(float((gripper.position_m - band_m) @ then.normal), 0.0)
+        wanted = _wanted(then, gripper, band_m + self._distance_m * then.normal)
         error_m, turn = wanted.position_m - gripper.position_m, rotation_vector(wanted.rotation @ gripper.rotation.T)
         across_m = float(np.linalg.norm(error_m - (error_m @ then.normal) * then.normal))
         why = ring.obstacle
@@ -272,19 +271,19 @@ def _moved(pose: Pose, twist: Twist, for_s: float) -> Pose:
     )
 
 
-def _wanted(ring: GuidedRing, gripper: Pose, distance_m: float) -> tuple[Pose, Float64[Array, "xyz=3"]]:
-    """Where the gripper should be, at a distance from the band, and the point of the band before it.
+def _wanted(ring: GuidedRing, gripper: Pose, position_m: Float64[Array, "xyz=3"]) -> Pose:
+    """The gripper at a place, opposite to the ring's normal.
 
     Its x axis is across the band, to the side to which it is turned already.
     """
-    band_m, z = ring.nearest_m(gripper.position_m), -ring.normal
+    z = -ring.normal
     across = gripper.rotation[:, 0]
     if isfinite(ring.center_m[0]):
         outward = ring.outward(gripper.position_m)
         across = outward if outward @ across > 0.0 else -outward
     x = across - (across @ z) * z
     x = x / float(np.linalg.norm(x))
-    return Pose(rotation=np.stack([x, cross(z, x), z], axis=1), position_m=band_m + distance_m * ring.normal), band_m
+    return Pose(rotation=np.stack([x, cross(z, x), z], axis=1), position_m=position_m)
 
 
 def _offsets(ring: GuidedRing, gripper: Pose) -> Float64[Array, "4"]:
