@@ -22,6 +22,7 @@ from ringpose.kernels.lines import (
 )
 from ringpose.measure.stream import Setup
 from ringpose.simulate.pipeline import simulate
+from ringpose.types.detection import UNLABELLED
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Light, RingView, Scene, Sensor
@@ -236,3 +237,15 @@ def test_two_pieces_of_one_stripe_are_a_ring_if_their_ends_have_one_middle(ends_
     face = ring_face(np.array(one_stripe(ends_px)), (), RIG)
 
     assert (face is not None and face.opposite is not None) == is_ring
+
+
+@pytest.mark.parametrize(("nearer_px", "is_ring"), [(0.0, True), (15.0, False)], ids=["alone", "beside a nearer one"])
+def test_light_on_the_body_seen_through_a_ring_is_not_taken_for_it(nearer_px, is_ring):
+    inside, face = one_stripe([350.0, 380.0, 420.0, 450.0]), one_stripe([452.0, 520.0])
+    face[0][MIDDLE_Y] -= nearer_px
+    seen = np.array(inside if nearer_px == 0.0 else [*inside, *face])
+    seen[:, LASER] = UNLABELLED  # of a frame with several lasers on
+
+    chosen = ring_face(seen, (1,), RIG)
+
+    assert (chosen is not None and chosen.opposite is not None) == is_ring

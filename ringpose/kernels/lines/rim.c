@@ -79,6 +79,7 @@ typedef struct {
     double x[4], y[4];         /* normalised image coordinates of start and end */
     double inverse_depth[4];   /* 1/z there, 1/m */
     int own[4];                /* whether the stripe itself ends there: neither at the border nor at something that hides it */
+    int may_be_hidden;         /* whether light of an unknown laser, if it is of this one, hides what is beyond one of the ends */
     double merit;
     double coincidence_bonus; /* what a group of three adds to the merit */
     double normal_matrix[6], right_side[3], square; /* of the weighted plane equations: upper triangle, sums */
@@ -285,8 +286,10 @@ static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, 
         candidate->own[e] = in_view(candidate->x[e], candidate->y[e], scene->ring);
         if (candidate->x[e] < scene->ring->left_x || candidate->x[e] > scene->ring->right_x)
             penalty += params->cut_penalty; /* not above or below, where the stripe leaves the image along its whole length */
-        for (size_t i = 0; candidate->own[e] && segment->laser >= 0 && i < pieces; i++)
+        for (size_t i = 0; candidate->own[e] && i < pieces; i++)
             if (all[i].laser == segment->laser && hidden_beyond(segment, e % 2, &all[i], scene, scene->plane[candidate->laser])) {
+                candidate->may_be_hidden |= segment->laser < 0;
+                if (segment->laser < 0) continue;
                 candidate->own[e] = 0;
                 penalty += params->covered_penalty;
             }
@@ -564,7 +567,7 @@ static int count_own(const Candidate *candidate) {
 
 /* The number of own ends of a group of chords; 0 if none of its stripes is seen in two pieces, or if an arc has less than three
    ends of two stripes: the curvature passes through any one of them, and a single piece of foil fits every other time. A
-   single stripe shows all four of its ends. */
+   single stripe shows all four of its ends: nothing but these would tell light on the body, seen through the ring. */
 static int count_chord_ends(const Candidate *const member[], int size) {
     int own[2] = {0}, stripes[2] = {0}, pairs = 0;
     for (int i = 0; i < size; i++) {
@@ -580,7 +583,7 @@ static int count_chord_ends(const Candidate *const member[], int size) {
         pairs += last == 3;
     }
     int seen = pairs && stripes[0] > 1 && stripes[1] > 1 && own[0] > 2 && own[1] > 2;
-    if (size == 1) seen = pairs && own[0] + own[1] == 4;
+    if (size == 1) seen = pairs && own[0] + own[1] == 4 && !member[0]->may_be_hidden;
     return seen ? own[0] + own[1] : 0;
 }
 
