@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.geometry.rotations import cross, tilt_basis
+from ringpose.geometry.rotations import cross, skew, tilt_basis
 from ringpose.types.arrays import Array, Float64, Int64
 
 STEP = ("tilt_inward", "tilt_along", "lift_m", "shift_m", "turn_rad", "curvature", "half_band_m")
@@ -292,11 +292,11 @@ def predicted_break_points(
     A plane crosses each circle twice; the crossing on the side of the arcs' origin is returned.
     """
     inward, _, normal = arcs.axes
-    direction = np.cross(light_normal, normal)
+    direction = light_normal @ skew(normal)  # m x n
     length = np.sqrt((direction * direction).sum(axis=1))
     direction = direction / np.where(length > MIN_RATE, length, np.nan)[:, None]
     # the point of each line (ring plane and light plane) that is nearest to the origin
-    across = np.cross(normal, direction)
+    across = direction @ skew(normal).T  # n x direction
     foot_m = ((light_distance_m - light_normal @ arcs.origin) / (light_normal * across).sum(axis=1))[:, None] * across
 
     # distance e from the middle of the face: k (x^2 + y^2) - 2 x = 2 e + k e^2 along foot + t direction, Eq. (5.3)

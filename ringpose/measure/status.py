@@ -280,6 +280,7 @@ LASTING_FLAGS = PoseFlag(sum(rule.flag for rule in RULES if rule.lasting))
 """Flags of the newest used line that also concern its track."""
 
 
+@lru_cache(maxsize=256)
 def flags_of(findings: Finding) -> PoseFlag:
     """The flags that findings set."""
     return PoseFlag(sum(rule.flag for rule in RULES if findings & rule.findings))

@@ -430,13 +430,17 @@ def _disagreement(shots: Sequence[tuple[Float64[Array, "edge=2"], Float64[Array,
     weighted = (information @ curvature[..., None])[..., 0]
 
     def chi2_of(rings: Float64[Array, "ring edge=2"]) -> Float64[Array, "ring shot"]:
-        error = curvature - rings[:, None]
-        chi2: Float64[Array, "ring shot"] = np.einsum("rsi,sij,rsj->rs", error, information, error)
+        inner, outer = (curvature - rings[:, None]).transpose(2, 0, 1)
+        chi2: Float64[Array, "ring shot"] = (
+            information[:, 0, 0] * inner * inner
+            + 2.0 * information[:, 0, 1] * inner * outer
+            + information[:, 1, 1] * outer * outer
+        )
         return chi2
 
     chi2 = chi2_of(curvature)
     for _ in range(_REFITS):
         agrees = chi2 < _MAX_SQUARED_DEVIATION
-        normal_matrix = np.einsum("rs,sij->rij", agrees, information)
+        normal_matrix = np.tensordot(agrees, information, axes=1)
         chi2 = chi2_of(np.linalg.solve(normal_matrix, (agrees @ weighted)[..., None])[..., 0])
     return float(np.minimum(chi2, _MAX_SQUARED_DEVIATION).sum(axis=1).min())

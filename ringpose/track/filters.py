@@ -6,6 +6,7 @@ them. B and P are carried on exactly for any gain, so that common errors never a
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import pi
 from typing import NamedTuple
 
@@ -70,7 +71,7 @@ _PLACE_SD = 1.0
 """Standard deviation in metres and radians of the place of a ring before it is measured."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)  # without slots: `cached_property` needs a place for what it keeps
 class Bank:
     """Kalman filters of one explanation, one for each motion model, at one time."""
 
@@ -103,7 +104,7 @@ class Bank:
         penalized: Float64[Array, "filter"] = self.log_evidence + self.models.log_prior - penalty
         return penalized
 
-    @property
+    @cached_property
     def scores(self) -> Float64[Array, "filter"]:
         """Penalized evidence, including the probability that the centre of mass is behind the ring, not in front of it.
 
@@ -122,7 +123,7 @@ class Bank:
         """The filter with the highest score."""
         return int(np.argmax(self.scores))
 
-    @property
+    @cached_property
     def weights(self) -> Float64[Array, "filter"]:
         """Probabilities of the models."""
         scores = self.scores
@@ -130,6 +131,7 @@ class Bank:
         normalized: Float64[Array, "filter"] = weights / weights.sum()
         return normalized
 
+    @cached_property
     def probable(self) -> "Bank":
         """The bank without filters whose weight is negligible."""
         kept = self.weights > NEGLIGIBLE_WEIGHT

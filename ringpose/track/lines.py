@@ -163,7 +163,7 @@ class _Reported:
     """The reported quantities of an explanation at an instant, with their joint covariance."""
 
     def __init__(self, bank: Bank, stamp_s: float) -> None:
-        at = predict(bank.probable(), stamp_s)
+        at = predict(bank.probable, stamp_s)
         mean, self.errors = mixed(at)
         states = retract(at.chart, np.concatenate([mean[None], perturbed(mean[None])]))
         values = _quantities(states)

@@ -34,7 +34,7 @@ def predicted_ring(track: Track, stamp_s: float, camera: CameraMotion | None = N
     """
     if not track.banks:
         return None
-    at = predict(track.likeliest.probable(), stamp_s)
+    at = predict(track.likeliest.probable, stamp_s)
     mean, covariance = mixed(at)
     arcs = _arcs_of(retract(at.chart, mean[None]), stamp_s, camera)
     return None if arcs is None else PredictedRing(arcs=arcs, covariance=covariance[: len(STEP), : len(STEP)])
@@ -127,7 +127,7 @@ def motion_px(track: Track, from_s: float, to_s: float, rig: Rig, camera: Camera
     Edges near the place seen are taken; the result is infinite if the pose of the camera is unknown. The instants may
     also be before the newest measurement.
     """
-    bank, shown = track.likeliest.probable(), []
+    bank, shown = track.likeliest.probable, []
     mean, _ = mixed(bank)
     along_m, sign = np.tile(np.linspace(-SHOWN_M, SHOWN_M, 9), 2), np.repeat([-1.0, 1.0], 9)
     for stamp_s in (from_s, to_s):

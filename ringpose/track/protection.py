@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.measure.status import unbounded
-from ringpose.pose.protection import MAX_ANGLE_RAD, in_plane, protection_level
+from ringpose.pose.protection import MAX_ANGLE_RAD, NORMAL, in_plane
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose
@@ -97,5 +97,5 @@ def _gaussian_levels(pose: RingPose, allowed: float) -> tuple[Float64[Array, "le
 
 
 def _alone(allowed: float) -> float:
-    """Level of one solution, in standard deviations."""
-    return protection_level(np.ones(1), np.zeros(1), np.ones(1), allowed)
+    """Level of one solution, in standard deviations: 2 Q(L) = `allowed`."""
+    return -NORMAL.inv_cdf(0.5 * allowed) if allowed > 0.0 else inf

@@ -82,7 +82,7 @@ def test_a_bank_predicts_the_same_without_its_improbable_models(records, precess
     bank = track_of(records).track.likeliest
     bank = replace(bank, log_evidence=np.where(bank.models.precession == precession, bank.log_evidence, -1e3))
 
-    probable = bank.probable()
+    probable = bank.probable
 
     assert set(probable.models.precession.tolist()) == {precession}
     mean, covariance = mixed(predict(probable, bank.stamp_s + 0.2))
