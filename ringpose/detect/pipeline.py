@@ -151,7 +151,7 @@ def detect(
             points = _with_pixel_ends(points, view)
     except Stop as stop:
         reason = explained(stop.reason, search.stripes, view)
-        return replace(seen, break_points=reason, advice=exposure_advice(reason, shot, view.images))
+        return replace(seen, break_points=reason, advice=_advice(reason, search.stripes, view))
     return replace(
         seen,
         break_points=points,
@@ -160,6 +160,16 @@ def detect(
         rejected=(*search.rejected, *([Rejection(what="edge")] if edges and missing else [])),
         advice=exposure_advice(points, shot, view.images),
     )
+
+
+def _advice(reason: NoBreakPoints, stripes: Stripes, view: View) -> str:
+    """What would help, and the limits of the rig where nothing looks like a face."""
+    phrases = [exposure_advice(reason, view.shot, view.images)]
+    if reason is NoBreakPoints.NO_RING:
+        from ringpose.detect.resolution import resolution_advice  # not imported where there is a ring
+
+        phrases.append(resolution_advice(stripes, view.images, view.rig))
+    return "; ".join(filter(None, phrases))
 
 
 def _detected_along_columns(

@@ -17,6 +17,7 @@ import numpy as np
 from ringpose.geometry.least_squares import influence_on
 from ringpose.optics.image_noise import PIXEL_VARIANCE, ImageNoise, gauss, normal_cdf, speckle_correlation
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.rig import Rig
 
 # A stripe that is detected
 
@@ -34,6 +35,21 @@ MIN_COLUMNS = 10
 
 BORDER_PX = 3.0
 """Distance from the image's left or right border within which a stripe is regarded as truncated by the image."""
+
+
+FULL_WIDTH_SIGMAS = 2.355
+"""Full width at half maximum of a Gaussian section, in standard deviations."""
+
+
+def row_offset_px_m(rig: Rig) -> Float64[Array, "laser"]:
+    """By how many pixels each stripe moves across itself when the inverse depth changes by 1/m: f |d / m_y|.
+
+    A face at the depth z is a step of this times 1/z - 1/(z + h) before what lies h behind it (method(7), section 14).
+    """
+    across = 0 if rig.stripes_along_columns else 1
+    focal = rig.camera.camera_matrix[across, across]
+    offset: Float64[Array, "laser"] = np.abs(focal * rig.lasers.distance_m / rig.lasers.normal[:, across])
+    return offset
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

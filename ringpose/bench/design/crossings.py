@@ -12,16 +12,13 @@ import numpy as np
 
 from ringpose.geometry.rays import project
 from ringpose.geometry.rotations import cross, facing_normal
-from ringpose.optics.feature_errors import BORDER_PX
+from ringpose.optics.feature_errors import BORDER_PX, FULL_WIDTH_SIGMAS, row_offset_px_m
 from ringpose.simulate.light import half_thickness_m
 from ringpose.simulate.placement import image_ray, ring_rotation
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.rig import Rig
 from ringpose.types.scene import Scene
 from ringpose.types.table import Table
-
-FULL_WIDTH_SIGMAS = 2.355
-"""Full width at half maximum of a Gaussian section, in standard deviations."""
 
 NEAREST_M, FARTHEST_M, STEP = 0.05, 5.0, 1.01
 """Distances that are searched for limits, each farther than the one before by this factor."""
@@ -80,16 +77,14 @@ def crossings(scene: Scene, distance_m: float, pitch_rad: float = 0.0, yaw_rad: 
     rig, radius_m = scene.rig, np.array([scene.ring.radius_inner_m, scene.ring.radius_outer_m])
     normal, middle_m = facing_normal(pitch_rad, yaw_rad), distance_m * image_ray(scene.rig.camera, np.zeros(2))
     arc_m = middle_m + radius_m.mean() * ring_rotation(normal, 0.0)[:, 0]
-    across = 0 if rig.stripes_along_columns else 1
-    focal = float(rig.camera.camera_matrix[across, across])
+    focal = float(rig.camera.camera_matrix[0, 0] if rig.stripes_along_columns else rig.camera.camera_matrix[1, 1])
     behind_m = distance_m + scene.ring.height_m
-    offsets = np.abs(rig.lasers.distance_m / rig.lasers.normal[:, across])
     section_px = focal / distance_m * half_thickness_m(scene.lasers, np.array([distance_m]))[0]
     return Crossings(
         distance_m=distance_m,
         arc=np.array([any(pieces) for pieces in ends_in_view(rig, arc_m, normal, radius_m)]),
         whole=np.array([bool(pieces) and all(pieces) for pieces in ends_in_view(rig, middle_m, normal, radius_m)]),
-        step_px=float(focal * offsets.min() * (1.0 / distance_m - 1.0 / behind_m)),
+        step_px=float(row_offset_px_m(rig).min() * (1.0 / distance_m - 1.0 / behind_m)),
         width_px=float(FULL_WIDTH_SIGMAS * np.hypot(section_px, scene.lens.blur_px)),
     )
 
