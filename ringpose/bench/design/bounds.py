@@ -1,8 +1,8 @@
 """Cramér-Rao bounds: the smallest errors that a rig, a ring and its place allow (ringpose-method(7), section 14).
 
-The Fisher information is that of the measurement in information form (section 9) at the true ring, computed from
-features without errors that have the covariances of detected ones. Errors of the rig are nuisance parameters, whose
-prior is the covariance in rig.yaml plus that of its stability.
+The Fisher information is that of the measurements at the true ring, on both arcs, by features without errors that have
+the covariances of detected ones. Errors of the rig are nuisance parameters, whose prior is the covariance in rig.yaml
+plus that of its stability.
 """
 
 from dataclasses import dataclass
@@ -11,14 +11,8 @@ from math import sqrt
 import numpy as np
 
 from ringpose.estimate.covariance import GRASP_UNKNOWN_FROM_M, WEAK_SD, exceeds_sd
-from ringpose.estimate.nuisance import covariance_root
-from ringpose.geometry.ring import normal_and_center
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import MEASURED_PARAMETERS, PoseLine, PoseResult
-from ringpose.types.rig import Rig
-
-_POSE = 7
-"""Number of the ring's own parameters, the first of `MEASURED_PARAMETERS`; its rates, which follow, are zero."""
+from ringpose.types.pose import PoseLine, PoseResult, RingPose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -66,39 +60,17 @@ def determined_quantities(line: PoseLine, bound: Bound | None, radius_inner_m: f
     return tuple(name for name, is_known in (("center", of_center), ("grasp", of_grasp)) if is_known)
 
 
-def cramer_rao(line: PoseLine | PoseResult, rig: Rig) -> Bound | None:
-    """The Cramér-Rao bound of a ring from its pose, estimated from features without errors.
+def cramer_rao(line: PoseLine | PoseResult) -> Bound | None:
+    """The Cramér-Rao bound of a ring from its pose, estimated under `NOISE_ONLY` from features without errors.
 
-    None if the features do not determine every parameter of the ring.
-
-    `rig` is the rig by which the ring was measured: its covariance is the prior of the nuisance parameters; parameters
-    that the covariance does not name count as exact. The prior of the radii is that of the pose.
+    It is the covariance of that pose, as all residuals are zero and no feature is rejected: the inverse of Fisher's
+    matrix over both arcs, with the priors of the rig's covariance and of given radii. `measurement` would not do, which
+    leaves out the opposite arc for the sake of tracks. None if the features do not determine every parameter.
     """
-    measurement, priors = line.measurement, line.priors
-    if measurement is None or priors is None or priors.regularization is not None:
+    pose, priors = line.pose, line.priors
+    if not isinstance(pose, RingPose) or priors is None or priors.regularization is not None:
         return None  # weak priors have moved the ring away from the true one
-    count = len(MEASURED_PARAMETERS)
-    names = measurement.nuisance_parameters
-    # R R^T is the prior covariance of the nuisance parameters; rows of those that count as exact are zero
-    root = np.zeros((len(names), 0)) if rig.covariance is None else covariance_root(rig.covariance.of(names))
-    rows, errors = measurement.square_root, root.shape[1]
-    whitened = np.concatenate([rows[:, :_POSE], rows[:, count:-1] @ root], axis=1)
-    information = whitened.T @ whitened
-    information[_POSE:, _POSE:] += np.eye(errors)
-    if priors.radius is not None:
-        sds_m = np.array([priors.radius.inner_sd_m, priors.radius.outer_sd_m])
-        given = np.isfinite([priors.radius.inner_m, priors.radius.outer_m])
-        information[[5, 6], [5, 6]] += np.where(given, 1.0 / sds_m**2, 0.0)
-    diagonal = information.diagonal()
-    if not bool((diagonal > 0).all()):
+    parameters, center_m2 = pose.covariance, pose.covariance_center_m2
+    if parameters is None or center_m2 is None or not (np.isfinite(parameters).all() and np.isfinite(center_m2).all()):
         return None
-    scale = 1.0 / np.sqrt(diagonal)
-    scaled = information * scale[:, None] * scale
-    variances, axes = np.linalg.eigh(scaled)
-    if variances[0] <= 1e-14 * variances[-1]:
-        return None
-    covariance = (axes / variances) @ axes.T * scale[:, None] * scale
-    parameters = covariance[:_POSE, :_POSE]
-    at = measurement.linearized_at
-    _, center_wrt = normal_and_center(at.normal, at.center_m)
-    return Bound(parameters=parameters, center_m2=center_wrt @ parameters[:5, :5] @ center_wrt.T)
+    return Bound(parameters=parameters, center_m2=center_m2)

@@ -194,7 +194,7 @@ def place_result(scene: Scene, place: Place) -> PlaceResult:
     )
     points = exact.break_points
     stripes = int(points.seen.all(axis=1).sum()) if isinstance(points, BreakPoints) else 0
-    bound, bound_known = cramer_rao(line, scene.rig), cramer_rao(known, scene.rig)
+    bound, bound_known = cramer_rao(line), cramer_rao(known)
     sd = dict.fromkeys(QUANTITIES, nan)
     if bound is not None:
         sd |= bound.standard_deviations

@@ -367,7 +367,7 @@ def shown_by(scene: Scene, with_radii: Iterable[bool]) -> Shown:
     points, radii = exact.break_points, {False: None, True: radii_of(scene)}
     arcs = points.arcs if isinstance(points, BreakPoints) else ()
     lines = {known: pose_line(exact, scene.rig, known=radii[known], options=NOISE_ONLY) for known in with_radii}
-    bounds = {known: cramer_rao(line, scene.rig) for known, line in lines.items()}
+    bounds = {known: cramer_rao(line) for known, line in lines.items()}
     inner_m = scene.ring.radius_inner_m
     return Shown(
         stripes=int(np.any([arc.seen.any(axis=1) for arc in arcs], axis=0).sum()) if arcs else 0,
