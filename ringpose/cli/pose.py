@@ -51,9 +51,9 @@ from ringpose.types.plausible import Range
 
 if TYPE_CHECKING:
     from ringpose.cli.overlays import PosePictures
-    from ringpose.files.inputs import Input, Problem
+    from ringpose.files.inputs import Input, Problem, SourceReader
     from ringpose.files.records.line_file import LineFile
-    from ringpose.measure.stream import Measured, Setup, Stream
+    from ringpose.measure.stream import Measured, Stream
     from ringpose.types.pose import PoseLine
     from ringpose.types.rig import Camera, Rig
     from ringpose.types.track import TrackLine
@@ -178,8 +178,8 @@ def pose(
         file = written.file(stack, force=force)
         if camera is None:
             stream = in_stream()
-            items = _remaining(batch.valid_inputs(_named(inputs or [])), file, stream, batch)
             read = SourceReader(loaded_rig, channel)
+            items = _remaining(batch.valid_inputs(_named(inputs or [])), file, stream, read, batch)
             lines = nullcontext(batch.reported(stream.outcomes(items, read, jobs, with_sources=has_pictures)))
         else:
             lines = _live(camera, shots, loaded_rig, in_stream, batch)
@@ -207,35 +207,47 @@ def _named(inputs: list[str]) -> "Iterator[Input | Problem]":
     return named(inputs, (RECORDS_SUFFIX, *SHOT_SUFFIXES))
 
 
-def _remaining(items: "Iterable[Input]", file: "LineFile | None", stream: "Stream", batch: Batch) -> "Iterator[Input]":
-    """The inputs without those of which an interrupted run has written the lines, after which the stream continues."""
+def _remaining(
+    items: "Iterable[Input]", file: "LineFile | None", stream: "Stream", read: "SourceReader", batch: Batch
+) -> "Iterator[Input]":
+    """The inputs without those of which an interrupted run has written the lines, after which the stream continues.
+
+    The first of them is measured again: with other options the file would mix lines of both.
+    """
     from ringpose.files.inputs import shot_name
     from ringpose.files.records.line_file import not_of_these_inputs
     from ringpose.files.records.poses import pose_line_of
 
-    remaining = iter(items)
+    remaining, is_first = iter(items), True
     for location, record in () if file is None else file.earlier():
         line = pose_line_of(record, location)
         if line.rig != stream.rig.sha256:
             raise DataError(
                 location, "was measured with another rig file", "give that one, or --force without --resume"
             )
-        _check_options(line, stream.setup, location)
-        if all(shot_name(item) != line.shot for item in remaining):  # those before it had no line
+        item = next((item for item in remaining if shot_name(item) == line.shot), None)  # those before it had no line
+        if item is None:
             raise not_of_these_inputs(location, line.shot)
-        stream.continue_after(line)
+        if is_first:
+            _check_same(line, stream.measure(read(item)).line, location)
+            is_first = False
+        else:
+            stream.continue_after(line)
         if line.pose is None:
             batch.record_status(NO_POSE)
     yield from remaining
 
 
-def _check_options(line: "PoseLine", setup: "Setup", location: str) -> None:
-    """Reject a line of another frame or method: the file would mix both."""
-    method = setup.method if line.pose is None else line.pose.method
-    for option, of_line, now in (("--frame", line.frame, setup.frame), ("--method", method, setup.method)):
-        if of_line != now:
-            finding = f"was measured with {option} {of_line}, not {now}"
-            raise DataError(location, finding, "give that one, or --force without --resume")
+def _check_same(earlier: "PoseLine", now: "PoseLine", location: str) -> None:
+    """Reject a line that is measured otherwise now."""
+    from ringpose.files.records import line_of, parsed_record
+    from ringpose.files.records.tracks import line_record
+
+    one, other = (parsed_record(line_of(line_record(line.without_times)).encode(), location) for line in (earlier, now))
+    keys = sorted(key for key in one.keys() | other.keys() if one.get(key) != other.get(key))
+    if keys:
+        finding = f"was measured by other options or another version: its {', '.join(keys[:4])} would not be the same"
+        raise DataError(location, finding, "resume with those of the interrupted run, or use --force without --resume")
 
 
 def _check_order(written: LineOptions, jobs: int, *, is_live: bool, track: bool, pictures: bool) -> None:

@@ -65,13 +65,24 @@ def test_lines_of_another_rig_are_not_continued(pose, tmp_path, rig):
     assert (found.status, "another rig file" in found.messages[0]) == (65, True)
 
 
-def test_lines_of_another_method_are_not_continued(pose, tmp_path):
+@pytest.mark.parametrize(
+    ("options", "differs"),
+    [
+        (["--method", "paper"], "pose"),
+        (["--risk", "1e-3"], "protection"),
+        (["--radius-inner", "0.6"], "rejected"),
+        (["--ring-tolerance", "0.001"], "priors"),
+        (["--budget"], "budget"),
+    ],
+)
+def test_lines_of_other_options_are_not_continued(pose, tmp_path, options, differs):
     pose("--output", tmp_path / "poses.jsonl")
     interrupted(tmp_path / "poses.jsonl", tmp_path / "other.jsonl.part", 1)
 
-    found = pose("--output", tmp_path / "other.jsonl", "--resume", "--method", "paper")
+    found = pose("--output", tmp_path / "other.jsonl", "--resume", *options)
 
-    assert (found.status, "was measured with --method ml, not paper" in found.messages[0]) == (65, True)
+    assert (found.status, "other options" in found.messages[0]) == (65, True)
+    assert differs in found.messages[0]
 
 
 @pytest.mark.parametrize(
