@@ -117,7 +117,7 @@ def bench(
 ) -> None:
     """Compare poses with the truth: errors by group, failures counted; status 3 if a limit is missed.
 
-    Further commands, each with its own --help: bench compare, bench study, bench design.
+    Further commands, each with its own --help: bench compare, bench study, bench design, bench capture.
     """
     from ringpose.bench.integrity import verdicts_text
     from ringpose.bench.report import report, score_table
