@@ -1,4 +1,4 @@
-"""Worker processes: a pool that survives killed workers, and results in the order of the items."""
+"""Work beside the caller: a thread that is one item ahead, and a pool of processes that survives killed workers."""
 
 import math
 import os
@@ -7,7 +7,8 @@ import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
-from threading import Thread
+from queue import Empty, SimpleQueue
+from threading import Semaphore, Thread
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
@@ -83,6 +84,47 @@ def outcomes(work: Callable[[Any], Result], items: Iterable[Any], jobs: int) -> 
     finally:
         arriving.close()
         pool.close()
+
+
+def one_ahead(work: Callable[[Any], Result], items: Iterable[Any]) -> Iterator[Result | Exception]:
+    """What `work` returns for each item, or the exception that it raises, computed by a thread one item ahead.
+
+    For work that releases the interpreter's lock, such as decompression: while the caller uses one result, the thread
+    computes the next one and no more. Items may come slowly: no result waits for a later item. At the end of the
+    iteration, which a signal or an error may cause, the thread begins no further item; it does not keep the process
+    from ending.
+    """
+    ready: SimpleQueue[tuple[Result | Exception] | Exception | None] = SimpleQueue()
+    room, ended = Semaphore(1), False
+
+    def run() -> None:
+        try:
+            for numbered in enumerate(items):
+                room.acquire()
+                if ended:
+                    return
+                ready.put((_outcome(work, numbered),))
+            ready.put(None)
+        except Exception as error:  # of the items' source: raised where the results are consumed
+            ready.put(error)
+
+    Thread(target=run, name="one ahead", daemon=True).start()
+    try:
+        while (result := _waited_for(ready)) is not None:
+            if isinstance(result, Exception):
+                raise result
+            room.release()
+            yield result[0]
+    finally:
+        ended = True
+        room.release()
+
+
+def _waited_for(queue: "SimpleQueue[Result]") -> Result:
+    """The next entry of a queue; a signal ends the wait by its exception."""
+    while True:
+        with suppress(Empty):
+            return queue.get(timeout=POLL_S)
 
 
 def _outcome(work: Callable[[Any], Result], numbered: tuple[int, Any]) -> Result | Exception:

@@ -79,11 +79,16 @@ class Batch:
     """
 
     def __init__(self) -> None:
-        self.status = 0
+        self._statuses: set[int] = set()  # inputs are named and measured by two threads, which one number would mix up
         self._in_a_row, self._unreported = 0, 0
         self._records: dict[tuple[str, str], tuple[str, int]] = {}
         """By file, and finding but for its numbers: what was found in the first such record, and their number."""
         self._repeated = 0
+
+    @property
+    def status(self) -> int:
+        """The highest exit status so far."""
+        return max(self._statuses, default=0)
 
     def __enter__(self) -> None:
         pass
@@ -188,7 +193,7 @@ class Batch:
 
     def record_status(self, status: int) -> None:
         """Include one exit status in that of the batch."""
-        self.status = max(self.status, status)
+        self._statuses.add(status)
 
     def _report_counts(self) -> None:
         self._report_count()

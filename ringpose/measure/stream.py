@@ -196,16 +196,18 @@ class Stream:
     ) -> Iterator[Measured | Exception]:
         """The lines of the shots that `read` reads, or why there is none, in the order of the items.
 
-        With several processes, each measures shots by themselves, and what goes from shot to shot is computed here, so
-        that the lines do not depend on their number: once the stream shows that a light plane has moved, the following
+        A thread reads one shot ahead: decompressing a shot, without the interpreter's lock, takes as long as measuring
+        it. Measuring holds that lock for most of its time, so that it stays in the calling thread. With several
+        processes, each measures shots by themselves, and what goes from shot to shot is computed here, so that the
+        lines do not depend on their number: once the stream shows that a light plane has moved, the following
         shots are measured again with the corrected rig. A track needs its shots one after the other.
         `with_sources`: with the shot and the detection of each line, also from another process.
         """
-        if jobs == 1:
-            yield from (self._outcome(item, read) for item in items)
-            return
-        from ringpose.processes import outcomes
+        from ringpose.processes import one_ahead, outcomes
 
+        if jobs == 1:
+            yield from map(self._outcome, one_ahead(read, items))
+            return
         for outcome in outcomes(_ByItself(self.setup, read, with_sources), items, jobs):
             if isinstance(outcome, Exception):
                 yield outcome
@@ -214,11 +216,14 @@ class Stream:
             if self.rig is self.setup.rig:
                 yield replace(self._next(alone.line), shot=alone.shot, detection=alone.detection)
             else:
-                yield self._outcome(item, read)
+                yield from map(self._outcome, outcomes(read, [item], 1))
 
-    def _outcome(self, item: Item, read: "Callable[[Item], Shot | Detection]") -> Measured | Exception:
+    def _outcome(self, source: Shot | Detection | Exception) -> Measured | Exception:
+        """The line of what was read, or why there is none."""
+        if isinstance(source, Exception):
+            return source
         try:
-            return self.measure(read(item))
+            return self.measure(source)
         except Exception as error:  # as from another process; the writer of the lines raises what is no item's fault
             return error
 

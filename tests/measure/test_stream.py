@@ -234,6 +234,19 @@ def test_shots_after_a_correction_are_measured_again_with_it(turned_run):
         assert differences(*(recorded(pose_record(each.line)) for each in (stream.measure(detection), measured))) == []
 
 
+def test_a_source_that_cannot_be_read_has_its_error_as_outcome_and_the_others_their_lines(turned_run):
+    run, rig = turned_run
+
+    def read(number):
+        if number == 1:
+            raise DataError("a.npz", "is broken")
+        return run[number]
+
+    first, broken, last = Stream(Setup(rig=rig, options=STILL)).outcomes(range(3), read)
+
+    assert [first.line.shot, str(broken), last.line.shot] == [run[0].shot, "a.npz: is broken", run[2].shot]
+
+
 def reading(item):
     """Each item is its own source; worker processes import this function."""
     return item
