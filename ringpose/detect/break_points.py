@@ -21,7 +21,7 @@ from ringpose.estimate.explanation import Explanation, decision
 from ringpose.estimate.factors import Prior
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.rays import intersect, nearest_plane, towards_camera, undistorted_rays
+from ringpose.geometry.rays import intersect, nearest_plane, project, towards_camera, undistorted_rays
 from ringpose.kernels import _kernels, column_names, kernel_record
 from ringpose.kernels.lines import (
     CENTERS,
@@ -40,6 +40,7 @@ from ringpose.optics.feature_errors import (
     BORDER_PX,
     FIT_DOF_CORRECTION,
     INSIDE_COLUMNS,
+    MIN_COLUMNS,
     MIN_NOISE,
     MIN_SEGMENT_COLUMNS,
     OUTSIDE_COLUMNS,
@@ -127,9 +128,10 @@ def _on_arc(
         if image.left_out is not None:
             hidden |= beside_left_out(ends.position_px, image, image.left_out, KINK_LEVEL)
     flags = np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0) | np.where(hidden, int(BreakPointFlag.UNCLEAR), 0)
-    for laser, segment in zip(face.lasers, face.segments, strict=True):
-        if not (segments == segment).all(axis=1).any():  # several of them on one line
-            flags[laser] |= int(BreakPointFlag.INTERRUPTED)
+    several = ~(face.segments[:, None] == segments).all(axis=2).any(axis=1)  # of them on one line
+    flags[np.array(face.lasers)[several | (_dark_columns(face.segments, rig) >= MIN_COLUMNS)]] |= int(
+        BreakPointFlag.INTERRUPTED
+    )
     points = BreakPoints(
         position_px=np.where(hidden[..., None], np.nan, ends.position_px),
         covariance_px2=np.where(hidden[..., None, None], np.nan, ends.covariance_px2),
@@ -143,6 +145,15 @@ def _on_arc(
         stamp_s=stamp_s,
     )
     return points.with_edges_exchanged() if face.outer_end == 0 else points
+
+
+def _dark_columns(segments: Float64[Array, "segment column=12"], rig: Rig) -> Float64[Array, "segment"]:
+    """The number of image columns between the ends of each segment in which it has no centre."""
+    middle_x, middle_y, slope = segments[:, [MIDDLE_X, MIDDLE_Y, SLOPE]].T[..., None]
+    x_px = segments[:, [X_START, X_END]]
+    ends_px = np.stack([x_px, middle_y + slope * (x_px - middle_x)], axis=-1)
+    start_px, end_px = project(undistorted_rays(ends_px, rig.camera), rig.camera)[..., 0].T
+    return np.asarray(end_px - start_px + 1.0 - segments[:, CENTERS])
 
 
 class BreakPointsOnRing(NamedTuple):
