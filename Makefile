@@ -30,12 +30,13 @@ export OPENBLAS_NUM_THREADS ?= 1
 test test-slow test-baseline-cpu test-other-cpu: export MALLOC_MMAP_THRESHOLD_ = 33554432
 test test-slow test-baseline-cpu test-other-cpu: export MALLOC_TRIM_THRESHOLD_ = 536870912
 
-.PHONY: help demo bench-speed bench-targets compare-baseline baseline golden mutants man-tables results structure test test-slow test-lowest \
+.PHONY: help demo bench-live bench-speed bench-targets compare-baseline baseline golden mutants man-tables results structure test test-slow test-lowest \
   test-baseline-cpu test-other-cpu wheel check lint types layers man clean
 
 help:
 	@echo "make demo         the main job on simulated shots: calibration, detection, poses, printed and drawn"
-	@echo "make bench-speed  line detectors compared; speed and accuracy beside every limit of the design; status 3 if one is missed"
+	@echo "make bench-speed  line detectors compared; speed (also drawn: build/bench-speed.png) and accuracy beside every limit of the design; status 3 if one is missed"
+	@echo "make bench-live   live tracking from memory: poses, latencies, dropped shots, processors, memory; status 3 if one is missed"
 	@echo "make bench-targets  drift, covariances and tracks against their targets; status 3 if one is missed"
 	@echo "make compare-baseline  poses of the rendered data sets beside those of the baseline; status 3 if worse"
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"
@@ -66,7 +67,10 @@ demo: $(STAMP)
 
 bench-speed: $(STAMP)
 	PYTHONPATH=tests $(BIN)/python -m benchmarks.compare_detectors
-	PYTHONPATH=tests $(BIN)/python -m benchmarks.speed
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.speed --chart build/bench-speed.png
+
+bench-live: $(STAMP)
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.live --check
 
 bench-targets: $(STAMP)
 	@missed=0; for each in drift_targets consistency_targets track_targets track_images; do \

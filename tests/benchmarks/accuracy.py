@@ -48,6 +48,9 @@ USUAL_FOUND = 0.85
 
 WRONG_SIGMAS = 5.0
 
+MAD_ERROR = 1.17
+"""Standard error of `robust_sd` of n normal values, times sqrt(n) over it."""
+
 
 def accuracy_figures(seeds: int) -> tuple[list[Figure], list[Figure]]:
     """Figures of stripe centres, column by column, and of break points, on the same images of each kind."""
@@ -136,7 +139,8 @@ def _break_point_figures(kind: Kind, errors: BreakPointErrors) -> list[Figure]:
     ]
     if kind in CLEAN:
         ratio = robust_sd(errors.along_px / errors.bound_px)
-        figures.append(Figure(name=f"{kind}: sigma along", measured=ratio, unit="x bound", max_value=1.5))
+        unit = f"x bound, standard error {MAD_ERROR * ratio / math.sqrt(len(errors.along_px)):.2f}"
+        figures.append(Figure(name=f"{kind}: sigma along", measured=ratio, unit=unit, max_value=1.6))
     return figures
 
 

@@ -3,7 +3,7 @@
 import argparse
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from calibrated import chi_squared
 
@@ -25,11 +25,17 @@ class Figure:
     unit: str = ""
     max_value: float = math.inf
     min_value: float = -math.inf
+    is_judged: bool = True
+    """False for times by the clock on a busy machine, which are printed only."""
 
     @property
     def is_kept(self) -> bool:
-        """Whether the figure has no limit, or is within its limits."""
-        return not self._limit or self.min_value <= self.measured <= self.max_value
+        """Whether the figure has no limit, is not judged, or is within its limits."""
+        return not self._limit or not self.is_judged or self.min_value <= self.measured <= self.max_value
+
+    def under(self, title: str) -> "Figure":
+        """The figure with a title before its name."""
+        return replace(self, name=f"{title}: {self.name}")
 
     @property
     def _limit(self) -> str:
@@ -37,8 +43,9 @@ class Figure:
         return f"{low} .. {high}" if low and high else f"<= {high}" if high else f">= {low}" if low else ""
 
     def __str__(self) -> str:
-        verdict = "MISSED" if not self.is_kept else "ok" if self._limit else ABSENT
-        return f"{verdict:6s} {self.name:{NAME_WIDTH}s} {number(self.measured, '.4g'):>9s} {self.unit} {self._limit}"
+        verdict = "MISSED" if not self.is_kept else "ok" if self._limit and self.is_judged else ABSENT
+        line = f"{verdict:6s} {self.name:{NAME_WIDTH}s} {number(self.measured, '.4g'):>9s} {self.unit} {self._limit}"
+        return line if self.is_judged else f"{line} (not judged: the machine is busy)"
 
 
 def target(name: str, measured: float, most: float, least: float = -math.inf) -> Figure:

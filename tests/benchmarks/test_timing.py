@@ -1,11 +1,15 @@
-"""Times taken in turns, and the first lines of processes whose start is timed."""
+"""Times taken in turns and by stage, and the first lines of processes whose start is timed."""
 
 import json
 
 import cv2
 import pytest
+from benchmarks.limits import Figure
+from benchmarks.stages import REST, STAGES, stage_times_s
 from benchmarks.stripe_images import Kind, shot_of, stripe_image
 from benchmarks.timing import median_times_s, one_core, start_calls
+
+from ringpose.detect.stripes import find_stripes
 
 
 def test_calls_take_turns_and_medians_count_without_the_first_round():
@@ -36,6 +40,23 @@ def test_one_core_ends_with_the_block():
     cv2.setNumThreads(before)
 
     assert (inside, after) == (1, 2)
+
+
+def test_a_time_by_the_clock_misses_its_limit_on_an_idle_machine_only():
+    idle, busy = (Figure(name="start", measured=2.0, max_value=1.0, is_judged=judged) for judged in (True, False))
+
+    assert (idle.is_kept, busy.is_kept) == (False, True)
+    assert str(idle).startswith("MISSED")
+    assert "not judged" in str(busy)
+
+
+def test_the_time_of_a_stage_is_that_of_its_function_and_of_what_it_calls():
+    image = stripe_image(Kind.DARK, 0).image
+
+    times_s = stage_times_s(lambda: find_stripes(image), 40)
+
+    assert set(times_s) == {*STAGES, REST}
+    assert times_s["stripes"] > 0.5 * sum(times_s.values()) > 0.0
 
 
 @pytest.mark.slow
