@@ -11,7 +11,7 @@ quantities that they have in common are determined (`Explanation.differing`).
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from math import atan2, inf, isfinite, nan, sqrt
+from math import atan2, inf, isfinite, log, nan, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -507,12 +507,27 @@ def _single_stripes(solved: Solved) -> list[Solved]:
     explanations = []
     assumptions = solved.hypothesis.prior.assumptions
     for laser, alone, estimate in single_stripe_estimates(measured, assumptions):
-        if edges_contradict or ring_evidence(estimate, measured, laser) < COINCIDENCE:
+        evidence = max(ring_evidence(estimate, measured, laser), _evidence_with_radii(solved, measured, alone, laser))
+        if edges_contradict or evidence < COINCIDENCE:
             rejected = (Rejection(what="stripe", laser=measured.rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
             hypothesis = Hypothesis(alone, prior, Finding.WRONG_STRIPE, rejected=rejected, laser=laser)
             explanations.append(Solved(hypothesis, estimate))
     return explanations
+
+
+def _evidence_with_radii(solved: Solved, measured: Measurements, alone: Measurements, laser: int) -> float:
+    """The same evidence if the radii are assumed: then the other stripe, `alone`, predicts this one up to the side.
+
+    With the radii, its length determines the angle at which it crosses the face, but not to which side: that of the
+    common ring is one of two. Minus infinity if no radii are assumed.
+    """
+    prior = solved.hypothesis.prior
+    if prior.radii is None or not bool(np.isfinite(prior.radii.radius_m).all()):
+        return -inf
+    radii = Prior(assumptions=prior.assumptions, radii=prior.radii)
+    estimate = estimate_ring(alone, radii, solved.estimate, tolerance_sigmas=DECISION_SIGMAS)
+    return -inf if estimate is None else ring_evidence(estimate, measured, laser) - log(2.0)
 
 
 def _both_ends_if_either_is_suspect(near: list[Solved], both_ends: Callable[[int], Solved | None]) -> Solved | None:

@@ -194,7 +194,7 @@ def single_stripe_estimates(
     """For each of two stripes: its laser, and the measurements and the ring without it.
 
     Nothing is returned for other numbers of stripes. Assumed radii are not used: with them the length of one stripe
-    determines the angle at which it crosses the face, but not to which side.
+    determines the angle at which it crosses the face, but not to which side (`explanation._evidence_with_radii`).
     """
     for laser in measured.stripes if len(measured.stripes) == STRIPES_OF_A_PLANE else []:
         alone = measured.without_laser(laser)

@@ -335,6 +335,33 @@ def test_two_stripes_with_clear_ends_give_a_sure_normal_of_a_known_ring(rng):
     assert unknown.normal @ scene.ring.normal > np.cos(0.005)
 
 
+def small_known_ring():
+    """A ring of 0.15 m, of which two stripes alone in the dark have several explanations, and its radii."""
+    scene = make_scene("B", distance_m=0.4, size=(0.12, 0.15))
+    return scene, KnownRadii(radius_m=scene.ring.radius_m, sd_m=np.full(2, 1e-4))
+
+
+def test_the_radii_show_that_two_stripes_are_on_one_small_ring(rng):
+    scene, known = small_known_ring()
+    points = with_stripes(face_points_of(scene, 0.3, 0.01, rng), 0, 1)
+
+    result = pose_result(points, scene.rig, known=known)
+
+    assert not result.flags & (PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK)
+    assert result.pose.normal @ scene.ring.normal > np.cos(0.01)
+    assert not isinstance(pose_result(points, scene.rig).pose, RingPose)  # without them, one may be on the background
+
+
+def test_the_radii_do_not_make_a_stripe_on_the_background_one_of_the_ring(rng):
+    scene, known = small_known_ring()
+    for _ in range(12):
+        shot = two_stripes_one_on_the_background(scene, face_points_of(scene, 0.3, 0.01, rng), rng, 2.0)
+
+        result = pose_result(shot, scene.rig, known=known)
+
+        assert not isinstance(result.pose, RingPose) or result.flags & (PoseFlag.NORMAL_WEAK | PoseFlag.INCONSISTENT)
+
+
 def test_a_wrong_stripe_of_a_shot_that_may_move_is_rejected_by_the_detector(rng):
     scene = make_scene("B", distance_m=0.5)
     shift_px = np.array([0.0, 0.0, 40.0])[:, None] * [0.0, 1.0]
