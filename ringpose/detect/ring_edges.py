@@ -34,7 +34,7 @@ from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.detect.rim import parallel_in_front
 from ringpose.estimate.explanation import decision
 from ringpose.estimate.factors import Prior
-from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.measurements import edges_of, measurements_of
 from ringpose.estimate.solver import STRIPES_OF_A_PLANE
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
@@ -279,7 +279,7 @@ def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundE
     wider, steps = 1.0, len(clear.trace.edge_sign)
     mostly_visible = steps >= MOSTLY_VISIBLE * len(trace.edge_sign)
     if GROUP * len(points.edge) < MOSTLY_VISIBLE * len(trace.edge_sign):  # most steps are beside the edges, if any
-        wider = uncertainty_factor(points, refined.arcs, stripes, break_points, frame, rig)
+        wider = uncertainty_factor(points, refined.arcs, stripes, frame, rig)
         if not math.isfinite(wider):
             return None
         points = replace(points, sigma_px=wider * points.sigma_px)
@@ -318,7 +318,6 @@ def uncertainty_factor(
     points: RingEdgePoints,
     arcs: RingArcs,
     stripes: RingFromStripes,
-    break_points: BreakPoints,
     frame: EdgeImage,
     rig: Rig,
 ) -> float:
@@ -339,7 +338,7 @@ def uncertainty_factor(
     if not confirmed and of_fewer < 2:
         return math.inf
     direction = covariance[:, CURVATURE] / math.sqrt(covariance[CURVATURE, CURVATURE])
-    edges = measurements_of(break_points, rig, points).edges
+    edges = edges_of(points, rig.camera)
     at = edge_distances(arcs, edges.ray, 2.0 * edges.edge - 1.0)
     slope = at.wrt_step @ direction / np.einsum("nr,nr->n", at.wrt_ray, edges.step)
     information = float(slope @ np.linalg.solve(np.eye(len(slope)) + edges.common @ edges.common.T, slope))

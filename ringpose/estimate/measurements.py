@@ -344,7 +344,7 @@ def measurements_of(
         points_beyond, have_covariances = _points(break_points.opposite, every_line, rig.camera, opposite=True)
         lines, points = every_line, joined(points, points_beyond)
         has_covariances = has_covariances and have_covariances
-    stamps, edges = np.concatenate([lines.stamp_s, points.stamp_s]), _edges(ring_edges, rig.camera)
+    stamps, edges = np.concatenate([lines.stamp_s, points.stamp_s]), edges_of(ring_edges, rig.camera)
     reference_s = float(stamps.mean()) if len(stamps) else math.nan
     every = np.concatenate([stamps, edges.stamp_s])
     return Measurements(
@@ -476,7 +476,8 @@ def no_edges(camera: Camera) -> Edges:
     )
 
 
-def _edges(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
+def edges_of(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
+    """The visible edges as measurements; none without points."""
     if ring_edges is None or not len(ring_edges.edge):
         return no_edges(camera)
     xy = undistort(ring_edges.position_px, camera)

@@ -425,7 +425,7 @@ def factor_of(rig: Rig, rng: np.random.Generator, edges: list[int]) -> float:
     stripes = ring_from_stripes(break_points, rig)
     of_edges = np.isin(found.points.edge, edges)
     parts = {name: getattr(found.points, name)[of_edges] for name in ("position_px", "normal", "sigma_px", "edge")}
-    return uncertainty_factor(RingEdgePoints(**parts), found.arcs, stripes, break_points, frame, rig)
+    return uncertainty_factor(RingEdgePoints(**parts), found.arcs, stripes, frame, rig)
 
 
 def test_points_of_one_edge_are_not_used_if_the_stripes_leave_the_curvature_open(rig, rng):
