@@ -38,8 +38,8 @@ RECORD(UnionParams, UNION_PARAMS);
     REAL(min_behind_m, FINITE)                                                                                      \
     REAL(max_behind_m, FINITE)                                                                                      \
     REAL(adjacent_px, NOT_NEGATIVE)                                                                                 \
-    REAL(cut_penalty, FINITE)                                                                                       \
-    REAL(covered_penalty, FINITE)                                                                                   \
+    REAL(cut_penalty, NOT_NEGATIVE)                                                                                 \
+    REAL(covered_penalty, NOT_NEGATIVE)                                                                             \
     REAL(union_penalty, FINITE)                                                                                     \
     COUNT(max_candidates, 1, 1000)
 RECORD_STRUCT(CandidateParams, CANDIDATE_PARAMS);
@@ -260,21 +260,27 @@ static int rank(const Candidate *candidate, Candidate *own, int count, int maxim
     return count < maximum ? count + 1 : maximum;
 }
 
+/* True if `rank` would insert a candidate. */
+static int ranks(const Candidate *candidate, const Candidate *own, int count, int maximum) {
+    return count < maximum || candidate->merit + candidate->coincidence_bonus > own[maximum - 1].merit + own[maximum - 1].coincidence_bonus;
+}
+
 /* True if another piece of the same laser, on a nearer surface, hides what is beyond that end: the segment reaches from the
    edge of that surface, or of its shadow, to the foot of a wall below that edge, which has the same lateral position. */
 static int hidden_beyond(const Segment *segment, int side, const Segment *other, const Scene *scene, const double light[3]) {
     const RingParams *ring = scene->ring;
     double adjacent = scene->candidates->adjacent_px, sign = side ? 1 : -1;
     double end = side ? segment->x_end : segment->x_start, near = side ? other->x_start : other->x_end;
-    double far = side ? other->x_end : other->x_start, at[2] = {line_y(segment, near), line_y(other, near)}, depth[2];
+    double far = side ? other->x_end : other->x_start, depth[2];
     if (!(sign * (near - end) > -adjacent && sign * (far - end) > 0)) return 0;
+    if (!(fabs(end - near) < other->x_end - other->x_start)) return 0;
+    double at[2] = {line_y(segment, near), line_y(other, near)};
     for (int i = 0; i < 2; i++)
         depth[i] = 1 / (light[0] * (near - ring->principal_x) / ring->focal_x +
                         light[1] * (at[i] - ring->principal_y) / ring->focal_y + light[2]);
     if (!(depth[1] > 0 && depth[1] < depth[0] && fabs(at[1] - at[0]) > adjacent)) return 0;
     double foot = ring->principal_x + (near - ring->principal_x) * depth[1] / depth[0];
-    return end > fmin(near, foot) - adjacent && end < fmax(near, foot) + adjacent &&
-           fabs(end - near) < other->x_end - other->x_start;
+    return end > fmin(near, foot) - adjacent && end < fmax(near, foot) + adjacent;
 }
 
 /* Which ends are the stripe's own; returns the penalty of the others, infinite if the image's border cuts both off. */
@@ -286,7 +292,7 @@ static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, 
         candidate->own[e] = in_view(candidate->x[e], candidate->y[e], scene->ring);
         if (candidate->x[e] < scene->ring->left_x || candidate->x[e] > scene->ring->right_x)
             penalty += params->cut_penalty; /* not above or below, where the stripe leaves the image along its whole length */
-        for (size_t i = 0; candidate->own[e] && i < pieces; i++)
+        for (size_t i = 0; candidate->own[e] && !(segment->laser < 0 && candidate->may_be_hidden) && i < pieces; i++)
             if (all[i].laser == segment->laser && hidden_beyond(segment, e % 2, &all[i], scene, scene->plane[candidate->laser])) {
                 candidate->may_be_hidden |= segment->laser < 0;
                 if (segment->laser < 0) continue;
@@ -313,6 +319,7 @@ static int find_candidates(const Segment *segment, size_t count, size_t unions, 
             place(segment, scene->ring, &candidate);
             if (!possible(scene->plane[laser], scene->candidates, &candidate)) continue;
             rate(&segment[i], i >= count - unions, scene, &candidate);
+            if (!ranks(&candidate, all + found, own, (int)scene->candidates->max_candidates)) continue; /* nor less a penalty */
             candidate.merit -= judge_ends(segment, count - unions, scene, &candidate);
             if (candidate.merit == -INFINITY) continue;
             own = rank(&candidate, all + found, own, (int)scene->candidates->max_candidates);
@@ -649,9 +656,9 @@ static int find_pairs(const Segment *all, size_t count, size_t pieces, int laser
     int found = 0;
     for (size_t i = 0; i < count; i++)
         for (size_t j = 0; j < count && is_of(&all[i], laser, scene); j++) {
+            if (!on_one_line(&all[i], &all[j], scene->unions)) continue;
             Candidate pair = {.segment = {(int32_t)i, (int32_t)j}, .laser = laser, .ends = 4,
                               .edge = {OUTER, INNER, INNER, OUTER}};
-            if (!on_one_line(&all[i], &all[j], scene->unions)) continue;
             Segment both = united(&all[i], &all[j]);
             if (judge_chord(all, pieces, &both, i >= pieces || j >= pieces, scene, &pair))
                 found = add_chord(&pair, pairs, found, scene->candidates->max_candidates);
