@@ -254,9 +254,10 @@ def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, searc
     best = _better_side(measured, prior, guess, search)
     if prior.radii is None or best is None or Finding.WRONG_RADIUS in best.findings:
         return best
-    # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is
+    # visible edges are too many to be compared with two radii by chi-squared: the ring without the radii is, unless a
+    # weak prior holds its radii, as that of a single stripe
     alone = _better_side(measured, prior._replace(radii=None), None, search)
-    if alone is None or not _contradicts(alone.estimate, prior.radii):
+    if alone is None or not alone.estimate.determined or not _contradicts(alone.estimate, prior.radii):
         return best
     return replace(
         alone,

@@ -8,7 +8,7 @@ from calibrated import assert_calibrated
 from ring_scenes import RIGS, Ring, face_points_of, scene_of, without
 
 from ringpose.measure.stream import pose_result
-from ringpose.types.pose import PoseResult, RingPose
+from ringpose.types.pose import KnownRadii, PoseFlag, PoseResult, RingPose
 
 SIGMA_PX, LINE_PX = 0.3, 0.05
 """Errors of the ends and of the lines of MATH section 15's example."""
@@ -140,3 +140,18 @@ def test_two_stripes_on_both_arcs_show_one_ring(laser):
 
     assert not result.rejected
     assert (np.abs(pose.center_m - ring.center_m) < 5.0 * center_sd_m(pose)).all()
+
+
+def test_one_stripe_on_both_arcs_does_not_contradict_the_true_radii():
+    points = seen_on_both_arcs(whole_ring(), np.random.default_rng(7))
+    others = np.arange(3) != 0  # the stripe that is left passes 90 mm beside the centre
+    ends = np.repeat(others[:, None], 2, axis=1)
+    alone = replace(points.without(ends, others), opposite=points.opposite.without(ends, others))
+    known = KnownRadii(radius_m=RADIUS_M, sd_m=np.full(2, 1e-4))
+    other = KnownRadii(radius_m=0.7 * RADIUS_M, sd_m=np.full(2, 1e-4))
+
+    result = pose_result(alone, RIGS["B"], known=known)
+    contradicted = pose_result(points, RIGS["B"], known=other)
+
+    assert PoseFlag.RADIUS_INCONSISTENT not in result.flags  # its ends show the radii only if it passed the centre
+    assert PoseFlag.RADIUS_INCONSISTENT in contradicted.flags
