@@ -2,8 +2,9 @@
 
 The gripper is led along the ring's normal: towards the point of the band's middle that is nearest to it, at a distance
 that shrinks while it is aligned. It follows the predicted ring at the predicted velocity, and corrects what is left in
-proportion. It closes only by a recent, valid line without a flag that concerns grasp or normal, and only if the
-probability that the ring will be within the gripper's window, when the fingers meet it, is high enough.
+proportion. It closes only by a recent, valid line with protection levels of grasp point and normal, and only if the
+probability that the ring will be within the gripper's window, when the fingers meet it, is high enough. At the risk of
+a level, 1e-5, the window of a gripper can be smaller than the level of a good track; the probability decides there.
 """
 
 from dataclasses import dataclass, replace
@@ -17,19 +18,9 @@ from ringpose.simulate.robot import Pose, Twist
 from ringpose.track.explanations import Gripper
 from ringpose.track.lines import capture_probability
 from ringpose.types.arrays import Array, Float64
-from ringpose.types.pose import PoseFlag, PoseLine, RingPose
+from ringpose.types.pose import PoseLine, RingPose
+from ringpose.types.protection import Protection
 from ringpose.types.track import TrackLine, Validity
-
-FORBIDDING = (
-    PoseFlag.GRASP_WEAK
-    | PoseFlag.NORMAL_WEAK
-    | PoseFlag.INCONSISTENT
-    | PoseFlag.ASSIGNMENT_AMBIGUOUS
-    | PoseFlag.SIDE_UNKNOWN
-    | PoseFlag.RIG_DRIFT
-    | PoseFlag.RIG_BENT
-)
-"""Flags with which the gripper does not close: they concern the grasp point, its direction, or all numbers."""
 
 MAX_AGE_S = 0.5
 """Age of the newest measurement up to which the gripper comes nearer or closes; twice as old, it may hit the target."""
@@ -135,15 +126,19 @@ def ring_of_track(line: TrackLine) -> GuidedRing | None:
         covariance=ahead.covariance,
         covariance_s=ahead.stamp_s,
         growth=growth,
-        obstacle=obstacle or _forbidden(line.flags),
+        obstacle=obstacle or _unprotected(line.protection),
     )
 
 
 def ring_of_pose(line: PoseLine) -> GuidedRing | None:
-    """The ring of one shot in the base frame, taken as it is until the next one; None if it has no pose."""
+    """The ring of one shot in the base frame, taken as it is until the next one; None if it has no pose.
+
+    A method without a covariance has no levels either: what it reports is believed.
+    """
     pose = line.pose
     if pose is None or line.frame != "base" or not np.isfinite([*pose.normal, *pose.grasp_m]).all():
         return None
+    covariance = _grasp_and_tilts(pose)
     return GuidedRing(
         stamp_s=line.pose_stamp_s,
         measured_s=line.pose_stamp_s,
@@ -152,10 +147,10 @@ def ring_of_pose(line: PoseLine) -> GuidedRing | None:
         velocity_m_s=np.zeros(3),
         rate_rad_s=np.zeros(3),
         center_m=pose.center_m,
-        covariance=_grasp_and_tilts(pose),
+        covariance=covariance,
         covariance_s=line.pose_stamp_s,
         growth=np.zeros((5, 5)),
-        obstacle=_forbidden(line.flags),
+        obstacle="" if covariance is None else _unprotected(line.protection),
     )
 
 
@@ -168,9 +163,13 @@ def _grasp_and_tilts(pose: RingPose) -> Float64[Array, "5 5"] | None:
     return both if np.isfinite(both).all() else None
 
 
-def _forbidden(flags: PoseFlag) -> str:
-    named = flags & FORBIDDING
-    return "" if not named else ", ".join(str(flag.name).lower() for flag in PoseFlag if flag & named)
+def _unprotected(levels: Protection | None) -> str:
+    """Which of grasp point and normal has no protection level, as an obstacle; empty if both have one."""
+    if levels is None:
+        return "the line has no protection levels"
+    grasp = isfinite(levels.grasp_normal_m) and isfinite(levels.grasp_radial_m)
+    without = ([] if grasp else ["grasp point"]) + ([] if isfinite(levels.normal_rad) else ["normal"])
+    return f"no protection level of the {' and '.join(without)}" if without else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

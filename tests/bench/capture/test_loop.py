@@ -5,8 +5,9 @@ from math import radians
 
 import numpy as np
 import pytest
+from whole_records import complete_track, protection
 
-from ringpose.bench.capture.guidance import MAX_AGE_S, Guidance, GuidedRing
+from ringpose.bench.capture.guidance import MAX_AGE_S, Guidance, GuidedRing, ring_of_track
 from ringpose.bench.capture.loop import guided_by, run_loop
 from ringpose.bench.capture.score import CaptureOutcome, outcome_of, refuted_claims
 from ringpose.bench.capture.study import capture_rows, drawn_world, line_of_row
@@ -16,8 +17,10 @@ from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.simulate.motion import FreeAttitude
 from ringpose.simulate.robot import Pose
 from ringpose.track.lines import capture_probability
+from ringpose.types.pose import PoseFlag
 from ringpose.types.study import CAPTURE_TIMES, StudyMethod, columns
 from ringpose.types.target import FreeMotion
+from ringpose.types.track import Validity
 
 RUN = 2  # at 3 deg/s
 
@@ -103,7 +106,7 @@ def test_exact_lines_lead_the_gripper_to_the_middle_of_the_band(study):
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"obstacle": "inconsistent"}, "inconsistent"),
+        ({"obstacle": "no protection level of the normal"}, "normal"),
         ({"covariance": 1e-3**2 * np.eye(5)}, "probability"),
         ({"measured_s": -1.0}, "old"),
         ({"center_m": np.full(3, np.nan)}, "centre"),
@@ -118,6 +121,24 @@ def test_a_gripper_in_place_does_not_close_by_a_line_that_cannot_be_trusted(stud
     decision = Guidance(guided_by(world)).step(0.0, 0.03, tool, replace(ring, **changes))
     assert not decision.closes
     assert why in decision.why
+
+
+@pytest.mark.parametrize(
+    ("levels", "obstacle"),
+    [
+        (protection(), ""),
+        (protection().without(frozenset({"center"})), ""),
+        (protection().without(frozenset({"normal"})), "no protection level of the normal"),
+        (protection().without(frozenset({"grasp", "normal"})), "no protection level of the grasp point and normal"),
+        (replace(protection(), grasp_radial_m=np.inf), "no protection level of the grasp point"),
+        (None, "the line has no protection levels"),
+    ],
+)
+def test_a_track_closes_the_gripper_only_by_protection_levels_of_grasp_and_normal(levels, obstacle):
+    line = replace(complete_track(np.random.default_rng(3)), validity=Validity.VALID, protection=levels)
+
+    assert ring_of_track(line).obstacle == obstacle
+    assert ring_of_track(replace(line, flags=PoseFlag.RIG_DRIFT)).obstacle == obstacle  # levels contain what flags mean
 
 
 def at_the_ring(world, ring):
