@@ -90,7 +90,8 @@ def one_ahead(work: Callable[[Any], Result], items: Iterable[Any]) -> Iterator[R
     """What `work` returns for each item, or the exception that it raises, computed by a thread one item ahead.
 
     For work that releases the interpreter's lock, such as decompression: while the caller uses one result, the thread
-    computes the next one and no more. Items may come slowly: no result waits for a later item. At the end of the
+    computes the next one and no more. Items may come slowly: no result waits for a later item. What the source of the
+    items reports about the next one comes after the caller's report of an exception. At the end of the
     iteration, which a signal or an error may cause, the thread begins no further item; it does not keep the process
     from ending.
     """
@@ -98,13 +99,13 @@ def one_ahead(work: Callable[[Any], Result], items: Iterable[Any]) -> Iterator[R
     room, ended = Semaphore(1), False
 
     def run() -> None:
+        numbered = enumerate(items)
         try:
-            for numbered in enumerate(items):
-                room.acquire()
-                if ended:
+            while room.acquire() and not ended:
+                following = next(numbered, None)
+                ready.put(None if following is None else (_outcome(work, following),))
+                if following is None:
                     return
-                ready.put((_outcome(work, numbered),))
-            ready.put(None)
         except Exception as error:  # of the items' source: raised where the results are consumed
             ready.put(error)
 
@@ -113,8 +114,13 @@ def one_ahead(work: Callable[[Any], Result], items: Iterable[Any]) -> Iterator[R
         while (result := _waited_for(ready)) is not None:
             if isinstance(result, Exception):
                 raise result
-            room.release()
-            yield result[0]
+            (outcome,) = result
+            if isinstance(outcome, Exception):
+                yield outcome
+                room.release()
+            else:
+                room.release()
+                yield outcome
     finally:
         ended = True
         room.release()
