@@ -29,7 +29,8 @@ BOTH_ENDS_PROBABILITY = 3e-3
 interval 0.0002 to 0.03). With twice as much, 90 instead of 97 % of drawn shots have levels below 5 mm and 3 degrees."""
 
 STRIPE_PROBABILITY = 1.2e-2
-"""Probability that a stripe is on another surface, a ghost or a reflection; 2 of 165 stripes, of the same shots."""
+"""Probability that a stripe is on another surface, a ghost or a reflection; 2 of 165 stripes, of the same shots. Half
+of it is that of a layer of `LAYERS`, from which its ends come too."""
 
 EDGE_PROBABILITY = 3e-3
 """Probability that the visible points of an edge are of something else, as that of an end."""
@@ -52,6 +53,10 @@ BOTH_ENDS_SD_PX = 30.0
 
 SURFACE_DISTANCE_SD_M, SURFACE_TILT_SD_RAD = 0.05, 0.05
 """Distance of that surface from the face, and the angle between them: what is built is mostly parallel."""
+
+LAYERS = {"near": 0.008, "far": 0.05}
+"""Distances of a parallel layer, metres (standard deviations, one for each order of magnitude): its ends are those of
+the face's shadow, which looks like the face there."""
 
 PLANE_TILT_SD_RAD, PLANE_DISTANCE_SD_M = 5e-3, 5e-4
 """Change of a light plane that has moved: its projector was knocked, 0.1 m beside the camera."""
@@ -100,7 +105,8 @@ def _wrong_stripes(measured: Measurements, residuals: Residuals) -> Iterator[Fau
     """Both ends of each stripe, and the stripe as a whole: its line is that of another surface, its ends anywhere.
 
     A surface that is parallel to the face at some distance shows a line that is parallel to the right one: that two
-    stripes lie in one plane then proves nothing.
+    stripes lie in one plane then proves nothing. On a parallel layer with the face's outline the ends are consistent
+    with the line: one unknown instead of five, and a far larger posterior probability.
     """
     points, lines = measured.points, measured.lines
     per_sigma = _per_sigma(measured, BOTH_ENDS_SD_PX)
@@ -113,7 +119,13 @@ def _wrong_stripes(measured: Measurements, residuals: Residuals) -> Iterator[Fau
             yield Fault(f"ends {laser}", BOTH_ENDS_PROBABILITY, columns[:, : len(ends)], laser)
         of_line = np.flatnonzero(np.repeat(lines.laser == laser, 2))
         columns[of_line, len(ends) :] = residuals.jacobian[of_line][:, [LIFT, TILT_INWARD, TILT_ALONG]] * sds
-        yield Fault(f"stripe {laser}", STRIPE_PROBABILITY, columns, laser)
+        yield Fault(f"stripe {laser}", STRIPE_PROBABILITY / 2.0, columns, laser)
+        of_points = 2 * len(lines.laser) + np.flatnonzero(points.laser == laser)
+        rows = np.concatenate([of_line, of_points])
+        for name, distance_sd_m in LAYERS.items():
+            layer = np.zeros((len(residuals.residual), 1))
+            layer[rows, 0] = residuals.jacobian[rows, LIFT] * distance_sd_m
+            yield Fault(f"{name} layer {laser}", STRIPE_PROBABILITY / 4.0, layer, laser)
 
 
 def _moved_planes(measured: Measurements, residuals: Residuals, prior: Prior, fixed: FixedColumns) -> Iterator[Fault]:
