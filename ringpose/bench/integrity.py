@@ -83,6 +83,67 @@ def integrity_of_scores(scores: Iterable[Score]) -> dict[tuple[str, str], Integr
     return counts
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Occurring:
+    """The share of misleading lines where faults occur as often as outside of a study."""
+
+    lines: int
+    misled: int
+    share: float
+    upper: float
+    """Its upper bound, one-sided, with the confidence `CONFIDENCE`."""
+    uncounted: float
+    """Probability of the combinations of faults of which there is no line."""
+
+
+def occurring(counts: Mapping[str, Integrity], occurrence: Mapping[str, float]) -> Occurring:
+    """The sum over the kinds of lines of their probability times their share of misleading ones, and its upper bound.
+
+    A kind is a combination of faults, joined by `+`; faults that `occurrence` does not have count as none. The bound is
+    that of directly standardised rates by the gamma distribution (Fay and Feuer, Statistics in Medicine 16, 1997),
+    which is that of Clopper and Pearson for a single rare kind.
+    """
+    from scipy.stats import chi2
+
+    lines: dict[frozenset[str], int] = {}
+    misled: dict[frozenset[str], int] = {}
+    for kind, each in counts.items():
+        faults = frozenset(kind.split("+")) & frozenset(occurrence)
+        lines[faults] = lines.get(faults, 0) + each.lines
+        misled[faults] = misled.get(faults, 0) + each.misled
+    probability = {
+        faults: math.prod(p if name in faults else 1.0 - p for name, p in occurrence.items()) for faults in lines
+    }
+    weights = {faults: probability[faults] / number for faults, number in lines.items() if number}
+    largest = max(weights.values(), default=0.0)
+    share = math.fsum(weight * misled[faults] for faults, weight in weights.items())
+    variance = math.fsum(weight**2 * misled[faults] for faults, weight in weights.items())
+    upper = 1.0
+    if largest > 0.0:
+        mean, spread = share + largest, variance + largest**2
+        upper = float(0.5 * spread / mean * chi2.ppf(CONFIDENCE, 2.0 * mean**2 / spread))
+    return Occurring(
+        lines=sum(lines.values()),
+        misled=sum(misled.values()),
+        share=share,
+        upper=min(upper, 1.0),
+        uncounted=max(1.0 - math.fsum(probability[faults] for faults in weights), 0.0),
+    )
+
+
+def occurring_lines(counts: Mapping[tuple[str, str], Integrity], occurrence: Mapping[str, float]) -> list[str]:
+    """A sentence for each method."""
+    lines = []
+    for method in dict.fromkeys(method for method, _ in counts):
+        found = occurring({kind: each for (of, kind), each in counts.items() if of == method}, occurrence)
+        lines.append(
+            f"{method}: {found.share:.1e} of the lines misleading where faults occur as stated, at most "
+            f"{found.upper:.1e} ({100 * CONFIDENCE:.0f} %), by {found.misled} of {found.lines}; other combinations of "
+            f"faults: {found.uncounted:.1e}"
+        )
+    return lines
+
+
 HEADINGS = ("along normal", "radial", "normal", "x", "y", "z")
 
 

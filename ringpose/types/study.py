@@ -35,6 +35,13 @@ class Drawn:
     choice: Annotated[
         tuple[Value, ...] | None, Key("The values of which each shot has one.", presence=Presence.IF_KNOWN)
     ] = None
+    shares: Annotated[
+        Mapping[str, Annotated[float, Key(least=0.0, most=1.0)]],
+        Key(
+            "The same of a factor that is a text: its values, each with the share of the shots that draw it, 1 in all.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = field(default_factory=dict)
 
 
 _Number = float | tuple[float, ...] | Drawn | None
@@ -310,6 +317,8 @@ class Factor:
     """The interval in which each shot draws a number of its own; `values` are empty then."""
     drawn: bool = False
     """Whether each shot draws its value; otherwise each value is combined with all others."""
+    shares: tuple[float, ...] = ()
+    """How often each value is drawn; equally often without."""
 
 
 class StudyMethod(StrEnum):
@@ -360,6 +369,10 @@ class Study:
     cases: Mapping[str, tuple[Factor, ...]] = field(default_factory=dict)
     """By the name of a case, the factors that it replaces; the factor `case` names the one of a shot."""
     surfaces: Mapping[str, Surface] = field(default_factory=dict)
+    occurrence: Mapping[str, float] = field(default_factory=dict)
+    """How often the values of the factor `table` occur outside of the study, for the sum in the table of integrity."""
+    bounds: bool = True
+    """Whether each shot has its Cramér-Rao bounds, and what they determine."""
     assumed: AssumptionOptions | None = None
     """What the estimator assumes about motion, ring and rig; the distributions of the factors if None."""
     calibrate: bool = False

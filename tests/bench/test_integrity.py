@@ -7,10 +7,13 @@ import pytest
 from scipy.stats import beta
 
 from ringpose.bench.integrity import (
+    CONFIDENCE,
     Integrity,
     clopper_pearson,
     integrity_of_scores,
     integrity_table,
+    occurring,
+    occurring_lines,
     realism_table,
     static_error_table,
 )
@@ -57,6 +60,55 @@ def test_nothing_is_known_about_a_share_without_trials():
     assert clopper_pearson(0, 0) == (0.0, 1.0)
     (row,) = integrity_table({("ml", "all"): Integrity(lines=1)}).rows
     assert row[-2:] == ["0/0", "0.0e+00 to 1.0e+00"]
+
+
+@pytest.mark.parametrize(("misled", "lines"), [(0, 3000), (2, 400), (19, 300_000)])
+def test_the_bound_of_a_single_kind_is_that_of_clopper_and_pearson(misled, lines):
+    found = occurring({"none": integrity(lines, misled)}, {})
+
+    assert found.share == misled / lines
+    assert found.upper == pytest.approx(beta.ppf(CONFIDENCE, misled + 1, lines - misled), rel=0.01)
+    assert found.uncounted == 0.0
+
+
+def test_kinds_count_as_often_as_they_occur():
+    counts = {
+        "none": integrity(900, 0),
+        "tails": integrity(100, 1),
+        "end": integrity(200, 4),
+        "end+plane": integrity(10, 5),
+    }
+
+    found = occurring(counts, {"end": 0.1, "plane": 0.01})
+
+    assert (found.lines, found.misled) == (1210, 10)
+    assert found.share == pytest.approx(0.9 * 0.99 * 0.001 + 0.1 * 0.99 * 0.02 + 0.1 * 0.01 * 0.5)
+    assert found.upper > found.share
+    assert found.uncounted == pytest.approx(0.9 * 0.01)  # a plane alone
+
+
+def test_the_bound_of_a_sum_is_exceeded_by_the_true_share_as_seldom_as_stated(rng):
+    lines, share, occurrence = {"none": 2000, "end": 100}, {"none": 0.001, "end": 0.05}, {"end": 0.02}
+    true = 0.98 * share["none"] + 0.02 * share["end"]
+
+    drawn = [
+        {kind: integrity(lines[kind], int(rng.binomial(lines[kind], share[kind]))) for kind in lines}
+        for _ in range(400)
+    ]
+    exceeded = sum(true > occurring(counts, occurrence).upper for counts in drawn)
+
+    assert 0 < exceeded <= 400 * (1.0 - CONFIDENCE) + 3 * math.sqrt(400 * CONFIDENCE * (1.0 - CONFIDENCE))
+
+
+def test_nothing_is_known_about_what_occurs_without_lines():
+    assert occurring({}, {"end": 0.1}).upper == 1.0
+    (line,) = occurring_lines({("ml", "end"): integrity(10, 0)}, {"end": 0.1})
+    assert "by 0 of 10" in line
+    assert line.endswith("9.0e-01")
+
+
+def integrity(lines: int, misled: int) -> Integrity:
+    return Integrity(lines=lines, misled=misled)
 
 
 @pytest.mark.parametrize(

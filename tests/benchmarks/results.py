@@ -52,7 +52,7 @@ STUDIES = {
 }
 """The presets whose results the page shows, with the methods that stand in its tables."""
 
-COUNTS = {"calibrated": 10, "integrity": 30, "capture": 300}
+COUNTS = {"calibrated": 10, "integrity": 1000, "capture": 300}
 """Shots of each cell where the page does not take the preset's own number."""
 
 DISTANCES_M = np.linspace(0.2, 1.0, 9)

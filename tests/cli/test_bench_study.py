@@ -175,6 +175,11 @@ def test_a_report_has_every_section_and_no_external_reference(folder):
         ("light: dim", "light: [dim, dusk]", "dusk"),
         ("[ml, paper]", "[ml, papr]", "papr"),
         ("light: dim", "light: dim, faults: end+nothing", "nothing"),
+        ("light: dim", "light: {shares: {dim: 0.5, normal: 0.4}}", "vary.light.shares"),
+        ("light: dim", "light: {shares: {dim: 1.0}, choice: [dim]}", "uniform, choice and shares"),
+        ("light: dim", "light: {shares: {dim: 0.5, dusk: 0.5}}", "dusk"),
+        ("[0.3, 0.5]", "{shares: {0.3: 1.0}}", "distance_m"),
+        ("methods:", "occurrence: {end: 0.1}\nmethods:", "occurrence"),
         ("light: dim", "light: dim, missing_share: 1.5", "missing_share"),
         ("light: dim", "light: dim, ring_radius_outer_m: 0.02", "ring_radius_outer_m"),
         ("light: dim", "light: dim, sequence: 'off,9'", "sequence"),
@@ -210,6 +215,15 @@ def test_a_bad_study_is_rejected_with_the_key_that_is_wrong(folder, capsys, old,
 
     assert word in capsys.readouterr().err
     assert not (folder / "out").exists()
+
+
+def test_how_often_a_fault_occurs_is_stated_only_of_one_that_is_drawn(folder, capsys):
+    text = (folder / "study.yaml").read_text().replace("light: dim", "light: dim, faults: {choice: [none, end]}")
+    (folder / "study.yaml").write_text(text.replace("methods:", "table: faults\noccurrence: {ends: 0.1}\nmethods:"))
+
+    assert main(["bench", "study", "study.yaml", "--output", "out"]) == 65
+
+    assert "occurrence.ends: is not a fault of any shot" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

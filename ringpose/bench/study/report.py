@@ -19,6 +19,7 @@ from ringpose.bench.study.table import (
     cell_table,
     factor_text,
     failure_rows,
+    occurring_text,
     paper_table,
     value_text,
     violation_lines,
@@ -101,7 +102,7 @@ def _integrity(study: Study, summary: StudySummary, rows: Rows) -> list[Section]
     stride, method = max(1, study.shots // MAX_POINTS), summary.methods[0]
     levels = [levels_in(row) for row in rows() if row["method"] == method and int(row["shot"] or 0) % stride == 0]
     table, pictures = integrity_table(summary.integrity, study.table), [stanford_diagram(levels)]
-    return [Section(title="Integrity", table=table, pictures=pictures)]
+    return [Section(title="Integrity", text=occurring_text(study, summary), table=table, pictures=pictures)]
 
 
 def stanford_diagram(levels: Sequence[Mapping[str, Level]]) -> Picture:
@@ -237,6 +238,7 @@ def _errors(summary: StudySummary) -> Picture:
             x = _positions(keys, place, len(summary.methods))
             axis.plot(x, values, "o-" if _numeric(keys) else "o", color=_color(summary.methods, method), markersize=4)
         bounds = [summary.methods[0], *(method for method in summary.methods if method == "ml-known")]
+        bounds = [method for method in bounds if summary.all(method).count("bound_center_m")]
         for method, style in zip(bounds, ("k--", "k:"), strict=False):
             keys, wide = wide_columns(summary, method)
             values = np.array([factor * each.rms(f"bound_{name}") for each in wide])
@@ -252,8 +254,8 @@ def _errors(summary: StudySummary) -> Picture:
     named = dict(zip(("bound, radii unknown", "bound, radii known")[: len(bounds)], bound_lines, strict=False))
     _legend(figure, summary.methods, summary.methods, named)
     caption = (
-        "Root mean square errors of the shots in which a method gives a pose, which differ between methods; "
-        "black: Cramér-Rao bound of centre and normal."
+        "Root mean square errors of the shots in which a method gives a pose, which differ between methods"
+        f"{'; black: Cramér-Rao bound of centre and normal' if bounds else ''}."
     )
     return Picture(png=png_of(figure), caption=caption)
 
@@ -301,8 +303,9 @@ def _scatter(study: Study, columns: Mapping[str, Mapping[str, np.ndarray]]) -> P
         x, y = columns[method]["distance_m"] + width_m * share, columns[method]["center_m"]
         color, size = _color(methods, method), 7.0 if study.shots < 300 else 3.0
         axis.plot(1e3 * x, 1e3 * y, ".", markersize=size, color=color, alpha=0.6, label=drawn(method))
-    for each_m in np.unique(distance_m) if 0 < len(steps) < 20 else ():
-        bound_mm = 1e3 * np.nanmedian(columns[methods[0]]["bound_center_m"][distance_m == each_m])
+    bound_m = columns[methods[0]]["bound_center_m"]
+    for each_m in np.unique(distance_m[np.isfinite(bound_m)]) if 0 < len(steps) < 20 else ():
+        bound_mm = 1e3 * np.nanmedian(bound_m[distance_m == each_m])
         ends_mm = 1e3 * (each_m - width_m / 2), 1e3 * (each_m + width_m / 2)
         axis.hlines(bound_mm, *ends_mm, color="black", label="" if axis.collections else "bound, radii unknown")
     axis.set_yscale("log")

@@ -139,6 +139,8 @@ def _turn(study: Study, index: int) -> int:
 def _drawn(factor: Factor, rng: np.random.Generator) -> Value:
     if factor.uniform is not None:
         return float(rng.uniform(*factor.uniform))
+    if factor.shares:
+        return factor.values[int(rng.choice(len(factor.values), p=factor.shares))]
     return factor.values[int(rng.integers(len(factor.values)))]
 
 
@@ -244,7 +246,8 @@ def _rows(study: Study, index: int, shot: StudyShot) -> Iterator[Row]:
     if "radius" in faults_in(shot.setting):
         radii = replace(radii, radius_m=radii.radius_m * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(*RADIUS_SHARE)))
     result = run_result(shot.run, rig, study.methods, radii, options)
-    shown = shown_by(shot.scene, {method in WITH_RADII for method in study.methods})
+    known = {method in WITH_RADII for method in study.methods}
+    shown = shown_by(shot.scene, known) if study.bounds else shown_in(truth, known)
     points, edges = result.detection.break_points, result.detection.ring_edges
     common: Row = {
         "shot": index,
@@ -374,6 +377,13 @@ def shown_by(scene: Scene, with_radii: Iterable[bool]) -> Shown:
         bounds=bounds,
         determined={known: determined_quantities(lines[known], bounds[known], inner_m) for known in lines},
     )
+
+
+def shown_in(truth: Truth, with_radii: Iterable[bool]) -> Shown:
+    """The same without bounds: the stripes of which the truth has an end in the image."""
+    ends_px, known = truth.break_points_px, tuple(with_radii)
+    stripes = 0 if ends_px is None else int(np.any(np.isfinite(ends_px).all(axis=-1), axis=1).sum())
+    return Shown(stripes=stripes, bounds=dict.fromkeys(known), determined=dict.fromkeys(known, ()))
 
 
 def radii_of(scene: Scene, rng: np.random.Generator | None = None) -> KnownRadii:

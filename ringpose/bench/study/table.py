@@ -9,7 +9,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from ringpose.bench.integrity import Integrity, integrity_table, levels_in
+from ringpose.bench.integrity import Integrity, integrity_table, levels_in, occurring_lines
 from ringpose.bench.score import QUANTITIES, Judgement, Outcome, Score
 from ringpose.bench.summary import ABSENT
 from ringpose.bench.table import number
@@ -191,10 +191,16 @@ def study_text(study: Study, summary: StudySummary) -> str:
     blocks.append("\n".join(["errors beside their bounds, root mean square", *cells]))
     if any(max(each.leveled.values()) for each in summary.integrity.values()):
         title = f"integrity at a risk of {RISK if study.assumed is None else study.assumed.risk:g}"
-        blocks.append("\n".join([title, *integrity_table(summary.integrity, study.table).lines(left=2)]))
+        lines = integrity_table(summary.integrity, study.table).lines(left=2)
+        blocks.append("\n".join([title, *lines, *occurring_text(study, summary)]))
     if failures := failure_rows(summary):
         blocks.append("\n".join(["shots with a visible ring but without a pose", *map("  ".join, failures)]))
     return "\n\n".join(blocks) + "\n"
+
+
+def occurring_text(study: Study, summary: StudySummary) -> list[str]:
+    """The share of misleading lines of each method, in a study that states how often faults occur."""
+    return occurring_lines(summary.integrity, study.occurrence) if study.occurrence else []
 
 
 def violation_lines(study: Study) -> list[str]:

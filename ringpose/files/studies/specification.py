@@ -35,6 +35,7 @@ from ringpose.types.study import (
     ONLY_FEATURES,
     RUN_FAULTS,
     SURFACES,
+    SWITCHES,
     Drawn,
     Factor,
     Factors,
@@ -169,10 +170,27 @@ class StudyFile:
     table: Annotated[
         str | None,
         Key(
-            "The factor in the columns of the first table; the first of the grid without it.",
+            "The factor in the columns of the first table, of the grid or with values that are drawn; the first of the "
+            "grid without it.",
             presence=Presence.IF_KNOWN,
         ),
     ] = None
+    occurrence: Annotated[
+        Mapping[str, Annotated[float, Key(least=0.0, most=1.0)]],
+        Key(
+            "How often each fault occurs outside of the study, in a study of `faults`: the share of misleading lines "
+            "that follows is stated below the table of integrity. Faults occur independently of each other; those "
+            "without an entry, whose lines count as those without them, are variants of what is usual.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = field(default_factory=dict)
+    bounds: Annotated[
+        bool,
+        Key(
+            "Whether each shot has its Cramér-Rao bound, and what it determines.",
+            presence=Presence.IF_KNOWN,
+        ),
+    ] = True
     calibrate: Annotated[
         bool,
         Key(
@@ -246,6 +264,7 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
     if cases:
         factors = (Factor(name=CASE, values=tuple(cases)), *factors)
     grid = [factor.name for factor in factors if not factor.drawn]
+    in_columns = [factor.name for factor in factors if factor.values]
     if not entry.methods or len(set(entry.methods)) < len(entry.methods):
         raise fields.problem("methods", "must name each method once, and at least one")
     study = Study(
@@ -256,9 +275,11 @@ def read_study(path: Path, count: int | None = None, seed: int | None = None) ->
         seed=_given(fields, "seed", seed, entry.seed),
         factors=factors,
         methods=entry.methods,
-        table=fields.choice("table", grid) if entry.table is not None else next(iter(grid), ""),
+        table=fields.choice("table", in_columns) if entry.table is not None else next(iter(grid), ""),
         cases=cases,
         surfaces=entry.surfaces,
+        occurrence=entry.occurrence,
+        bounds=entry.bounds,
         assumed=_assumed(fields, entry.assume) if "assume" in fields.values else None,
         calibrate=entry.calibrate,
         run=_run(fields, entry),
@@ -345,25 +366,39 @@ def _cases(
 
 
 def _factor(vary: Fields, name: str, given: Value | tuple[Value, ...] | Drawn | None, scene: Scene) -> Factor:
-    """A value, a list of values to combine, or `{uniform: [a, b]}` or `{choice: [...]}`, of which each shot draws."""
+    """A value, a list of values to combine, or a mapping as `Drawn`, of which each shot draws."""
     if given is None:
         raise vary.problem(name, "is null, must have a value")
     if not isinstance(given, Drawn):
         values = given if isinstance(given, tuple) else (given,)
         return Factor(name=name, values=_checked(vary, name, name, values, scene))
     entry = vary.fields(name)
-    if given.choice is not None and given.uniform is None:
-        values = tuple(_drawn(entry, "choice", name, value) for value in given.choice)
-        return Factor(name=name, values=_checked(entry, "choice", name, values, scene), drawn=True)
-    if given.uniform is None or given.choice is not None:
-        raise vary.problem(name, "must have either uniform or choice")
+    if sum((given.choice is not None, given.uniform is not None, bool(given.shares))) != 1:
+        raise vary.problem(name, "must have one of uniform, choice and shares")
+    if given.uniform is not None:
+        return _uniform(vary, name, given.uniform)
+    key, choice = ("choice", given.choice) if given.choice is not None else ("shares", tuple(given.shares))
+    if given.shares and (name in NUMBERS or name in SWITCHES):
+        raise vary.problem(name, "is not a text, and cannot have shares", "give choice: [...]")
+    if given.shares and abs(sum(given.shares.values()) - 1.0) > SHARES_SUM:
+        raise entry.problem("shares", f"have the sum {sum(given.shares.values()):g}, must be 1")
+    values = _checked(entry, key, name, tuple(_drawn(entry, key, name, value) for value in choice), scene)
+    return Factor(name=name, values=values, drawn=True, shares=tuple(given.shares.values()))
+
+
+def _uniform(vary: Fields, name: str, ends: tuple[float, float]) -> Factor:
+    entry = vary.fields(name)
     if name not in NUMBERS:
         raise vary.problem(name, "is not a number, and cannot be uniform", "give choice: [...]")
-    least, most = given.uniform
+    least, most = ends
     if not least < most:
         raise entry.problem("uniform", f"is [{least:g}, {most:g}], must ascend")
-    entry.check("uniform", np.array(given.uniform), NUMBERS[name])
-    return Factor(name=name, uniform=given.uniform, drawn=True)
+    entry.check("uniform", np.array(ends), NUMBERS[name])
+    return Factor(name=name, uniform=ends, drawn=True)
+
+
+SHARES_SUM = 1e-6
+"""Largest difference of the sum of shares from 1."""
 
 
 def _drawn(fields: Fields, key: str, name: str, value: Value) -> Value:
@@ -404,6 +439,7 @@ def _check(fields: Fields, study: Study) -> None:
         finding = f"has {study.shots} shots, must have at most {MAX_SHOTS}"
         raise fields.problem("", finding, "give a smaller grid or count")
     _check_capture(fields, study)
+    _check_occurrence(fields, study)
     for factor in study.factors:
         _check_factor(fields, f"vary.{factor.name}", factor, study)
     for name, own in study.cases.items():
@@ -415,6 +451,18 @@ def _check(fields: Fields, study: Study) -> None:
         _check_without_images(fields, study)
     if study.calibrate and (study.scene.camera_boards is None or study.scene.plane_boards is None):
         raise fields.problem("calibrate", "needs board views, and the scene has none", "add boards to the scene")
+
+
+def _check_occurrence(fields: Fields, study: Study) -> None:
+    """Reject names that are not a fault of any shot."""
+    if study.occurrence and study.table != FAULTS:
+        raise fields.problem("occurrence", "is of faults", "give table: faults")
+    values = [str(value) for factor in study.factors if factor.name == FAULTS for value in factor.values]
+    drawn = sorted({name for value in values for name in value.split("+")} - {NO_FAULT})
+    for name in study.occurrence:
+        if name not in drawn:
+            remedy = hint(name, drawn) or f"give names of {', '.join(drawn)}"
+            raise fields.fields("occurrence").problem(name, "is not a fault of any shot", remedy)
 
 
 def _check_capture(fields: Fields, study: Study) -> None:

@@ -18,9 +18,10 @@ AT_MOST = 0.05
 @pytest.mark.slow
 def test_single_faults_do_not_mislead_and_right_shots_are_available():
     study = read_study(study_path("integrity"), count=SHOTS)
-    study = replace(study, methods=(StudyMethod.ML,))
+    kinds = replace(study.factors[0], drawn=False, shares=())
+    study = replace(study, methods=(StudyMethod.ML,), factors=(kinds, *study.factors[1:]))
     single = (NO_FAULT, *DRAWN_FAULTS, *(fault for fault in RUN_FAULTS if fault != "radius"))
-    cells = [place for place, kind in enumerate(study.grid[0].values) if kind in single]
+    cells = [place for place, kind in enumerate(kinds.values) if kind in single]
     indices = [cell + turn * study.cells for turn in range(SHOTS) for cell in cells]
 
     counts = summarized(study, (row for index in indices for row in study_rows(study, index))).integrity

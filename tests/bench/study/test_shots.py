@@ -84,6 +84,27 @@ def test_every_row_has_exactly_the_documented_columns(study, rows):
     assert not any(value != value for row in rows for value in row.values())
 
 
+def test_values_are_drawn_as_often_as_their_shares(study):
+    lights = Factor(name="light", values=("dim", "normal"), drawn=True, shares=(0.9, 0.1))
+    study = replace(study, factors=(study.factors[0], lights), count=500)
+
+    dim = sum(setting_of(study, index)["light"] == "dim" for index in range(study.shots))
+
+    assert abs(dim - 900) < 4 * np.sqrt(1000 * 0.9 * 0.1)
+
+
+def test_a_study_without_bounds_has_the_same_estimates(study, rows):
+    without = replace(study, bounds=False)
+
+    row, bounded = study_rows(without, 5)[0], next(row for row in rows if row["shot"] == 5)
+
+    assert bounded["bound_center_m"] is not None
+    assert [name for name in row if name.startswith("bound_") and row[name] is not None] == []
+    assert row["determined"] == ""
+    same = [name for name in row if not name.startswith("bound_") and name not in {*TIMES, "determined"}]
+    assert {name: row[name] for name in same} == {name: bounded[name] for name in same}
+
+
 def test_errors_of_the_default_method_are_near_their_bound(study, rows):
     statistics = summarized(study, rows).all("ml")
 
