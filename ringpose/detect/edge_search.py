@@ -26,7 +26,7 @@ from ringpose.kernels import _kernels, column_names, column_slices, kernel_recor
 from ringpose.kernels.lines import Lens
 from ringpose.optics.feature_errors import STEP_DN, STEP_SIGMAS, noise_across_edge
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
-from ringpose.types.detection import BreakPoints
+from ringpose.types.detection import BreakPoints, JudgedRing
 from ringpose.types.plausible import RING_RADIUS_M
 from ringpose.types.rig import Camera, Rig
 
@@ -660,8 +660,11 @@ class RingFromStripes:
 
 
 @lru_cache(maxsize=1)  # the frames of a shot share it, unless the ring moves between them
-def ring_from_stripes(break_points: BreakPoints, rig: Rig) -> RingFromStripes | None:
-    """The ring by the stripes alone; None without a stripe's line on the face and one end on each edge."""
+def ring_from_stripes(break_points: BreakPoints, rig: Rig, judged: JudgedRing | None = None) -> RingFromStripes | None:
+    """The ring by the stripes alone; None without a stripe's line on the face and one end on each edge.
+
+    `judged`: the ring by which the break points were judged, from which the iteration starts.
+    """
     variance = break_points.covariance_px2[..., 0, 0] + END_SIGMA_PX**2
     inflated = np.minimum(variance, MAX_SIGMA_IN_FIT_PX**2)[..., None, None] * np.eye(2)
     allowed = replace(
@@ -670,7 +673,7 @@ def ring_from_stripes(break_points: BreakPoints, rig: Rig) -> RingFromStripes | 
     measured = measurements_of(allowed, rig)
     if not len(measured.lines.laser) or len(set(measured.points.edge.tolist())) < len(EDGE_SIGN):
         return None
-    estimate = estimate_ring(measured, Prior(), tolerance_sigmas=DECISION_SIGMAS)
+    estimate = estimate_ring(measured, Prior(), judged, tolerance_sigmas=DECISION_SIGMAS)
     if estimate is None or not plausible(estimate.arcs):
         return None
     return RingFromStripes(measured=measured, start=PredictedRing(estimate.arcs, estimate.inverse))

@@ -313,7 +313,9 @@ def visible_edges(
     """
     if source is StripeSource.SEGMENTS or (not wanted and ends_clear(points)):
         return points, None, False
-    edges = detect_ring_edges(points, view.shot, search.stripes, view.rig, view.assumptions, view.camera, search.motion)
+    edges = detect_ring_edges(
+        points, view.shot, search.stripes, view.rig, view.assumptions, view.camera, search.motion, search.ring
+    )
     if isinstance(edges.break_points, NoBreakPoints):
         raise Stop(edges.break_points)
     return edges.break_points, edges.points, edges.missing

@@ -46,6 +46,7 @@ from ringpose.types.assumptions import Assumptions
 from ringpose.types.detection import (
     BreakPointFlag,
     BreakPoints,
+    JudgedRing,
     NoBreakPoints,
     RingEdgePoints,
     Stripes,
@@ -114,8 +115,11 @@ def detect_ring_edges(
     assumptions: Assumptions,
     camera: CameraMotion | None,
     motion: RingMotion | None,
+    judged: JudgedRing | None = None,
 ) -> RingEdges:
     """The visible edges in the frames that show them best, and the break points with inner and outer edge resolved.
+
+    `judged`: the ring by which the break points were judged.
 
     These are the first and the last frame without lasers, or the first alone if the target is still; without one, the
     frame with the fewest lasers, where places beside the stripes are excluded. Every point has the stamp of its frame.
@@ -127,11 +131,11 @@ def detect_ring_edges(
     frames = frames[:1] if still else sorted({frames[0], frames[-1]})
     saturation_dn = shot.saturation_dn
 
-    def searched(points: BreakPoints) -> list[FoundEdges]:
-        edges = (_edges_in_frame(frame, points, shot, saturation_dn, stripes, rig, motion) for frame in frames)
+    def searched(points: BreakPoints, start: JudgedRing | None = None) -> list[FoundEdges]:
+        edges = (_edges_in_frame(frame, points, shot, saturation_dn, stripes, rig, motion, start) for frame in frames)
         return [each for each in edges if each is not None]
 
-    edges = searched(break_points)
+    edges = searched(break_points, judged)
     lit = any(each.mostly_visible for each in edges)
     if not lit:
         lit = edges_lit(break_points, shot)
@@ -248,6 +252,7 @@ def _edges_in_frame(
     stripes: Stripes,
     rig: Rig,
     motion: RingMotion | None,
+    judged: JudgedRing | None,
 ) -> FoundEdges | None:
     """The edges in one frame, with its stamp, predicted from the stripes of all frames and the ring's motion."""
     image, stamp_s = shot.images[number], shot.mid_exposure_s(number)
@@ -255,16 +260,18 @@ def _edges_in_frame(
     frame = EdgeImage(image=image, saturation_dn=saturation_dn, lit=lit)
     if motion is not None:
         break_points, rig = moved_to(stamp_s, break_points, rig, motion)
-    edges = found_edges(break_points, frame, rig)
+    edges = found_edges(break_points, frame, rig, judged)
     if edges is None:
         return None
     stamps = np.full(len(edges.points.edge), stamp_s)
     return edges._replace(points=replace(edges.points, stamp_s=stamps))
 
 
-def found_edges(break_points: BreakPoints, frame: EdgeImage, rig: Rig) -> FoundEdges | None:
+def found_edges(
+    break_points: BreakPoints, frame: EdgeImage, rig: Rig, judged: JudgedRing | None = None
+) -> FoundEdges | None:
     """Points of the ring's edges, and the significance of which edge is the inner one; None where no edge was found."""
-    stripes = ring_from_stripes(break_points, rig)
+    stripes = ring_from_stripes(break_points, rig, judged)
     tracked = None if stripes is None else tracked_ring(stripes, frame, rig)
     if stripes is None or tracked is None:
         return None

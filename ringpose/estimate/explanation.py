@@ -27,7 +27,7 @@ from ringpose.estimate.hypotheses import (
     single_stripe_estimates,
     with_deviation,
 )
-from ringpose.estimate.measurements import Measurements, inflate_sigma
+from ringpose.estimate.measurements import Measurements, error_inflation
 from ringpose.estimate.nuisance import FORM_SHARE
 from ringpose.estimate.solver import (
     DECISION_SIGMAS,
@@ -38,6 +38,7 @@ from ringpose.estimate.solver import (
     estimate_ring,
     initial_guess,
     precise_ring,
+    reweighted_ring,
 )
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives, rotation_by
 from ringpose.geometry.rotations import cross
@@ -232,13 +233,15 @@ def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measuremen
     """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
 
     At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
-    ring, None if there is none.
+    ring, None if it was not needed or there is none.
     """
     stamp_s, observations = measured.stamp_s, measured.observations
-    arcs = initial_guess(measured, prior)
     first = float(stamp_s.min(initial=np.inf))
-    if arcs is None or not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
-        return measured, arcs
+    if not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
+        return measured, None
+    arcs = initial_guess(measured, prior)
+    if arcs is None:
+        return measured, None
     residuals = ring_residuals(arcs, observations, Prior())
     rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
     weight = (rows * rows).sum(axis=1)
@@ -343,11 +346,7 @@ def _explained(
 
     An explanation with a score above `max_score` is not necessarily the best one.
     """
-    estimate = estimate_ring(measured, prior, search.start, guess=guess, tolerance_sigmas=search.tolerance_sigmas)
-    if estimate is not None and len(measured.edges.edge):
-        measured = replace(measured, edges=inflate_sigma(measured.edges, estimate.edge_residuals))
-        tolerance_sigmas = PRECISE_SIGMAS if search.for_pose else search.tolerance_sigmas
-        estimate = estimate_ring(measured, prior, estimate, guess=guess, tolerance_sigmas=tolerance_sigmas)
+    measured, estimate = _of_everything(measured, prior, search, guess)
     everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
     if everything is not None and not _is_suspicious(everything.estimate):
         best = _with_form(everything, search)
@@ -374,6 +373,29 @@ def _explained(
     best, competing = _select(everything, tried, both_ends)
     best = _with_form(best, search)
     return _explanation(best, everything, [*competing, *_single_stripes(best)])
+
+
+def _of_everything(
+    measured: Measurements, prior: Prior, search: Search, guess: RingArcs | None
+) -> tuple[Measurements, Estimate | None]:
+    """The ring by all measurements, and these with the autocorrelation of the visible edges in their errors.
+
+    The edges' residuals show it. From there the iteration goes on, unless a weak prior becomes necessary.
+    """
+    tolerance_sigmas = PRECISE_SIGMAS if search.for_pose else search.tolerance_sigmas
+    edges = measured.edges
+    first_sigmas = DECISION_SIGMAS if len(edges.edge) else tolerance_sigmas
+    estimate = estimate_ring(measured, prior, search.start, guess=guess, tolerance_sigmas=first_sigmas)
+    if estimate is None or not len(edges.edge):
+        return measured, estimate
+    residuals = estimate.residuals
+    factor, many = np.ones(len(residuals.residual)), np.flatnonzero(residuals.observations.many)
+    factor[many] = error_inflation(edges, estimate.edge_residuals)
+    raised = replace(measured, edges=edges.with_sigmas_raised(factor[many]))
+    again = reweighted_ring(estimate, raised, factor, tolerance_sigmas)
+    if again is None or not (again.determined or again.prior.regularize_about is not None):
+        again = estimate_ring(raised, prior, estimate, tolerance_sigmas=tolerance_sigmas)
+    return raised, again
 
 
 def _with_form(best: Solved, search: Search) -> Solved:

@@ -9,12 +9,12 @@ for all kinds alike (`ringpose.estimate.nuisance`). `ring_residuals` joins the r
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.linearization import Derivatives, FixedColumns, Observations, Residuals
+from ringpose.estimate.linearization import Derivatives, FixedColumns, LinearProblem, Observations, Residuals
 from ringpose.estimate.nuisance import FORM_ORDERS, FORM_PARAMETERS, FORM_SHARE, RigErrors, covariance_root, rig_errors
 from ringpose.geometry.ring import (
     CURVATURE,
@@ -95,9 +95,12 @@ class Factor:
         """The rows in units of their standard deviations."""
         return rows if self.whitening is None else self.whitening @ rows
 
-    def own_errors(self, rows: Float64[Array, "row column"], tolerance_m: float) -> Float64[Array, "row error"]:
-        """Derivatives of `rows` by errors that only these have in common, in sigmas; `tolerance_m`: of the ring."""
-        return np.zeros((len(rows), 0))
+    def own_errors(self, jacobian: Float64[Array, "row step=7"], tolerance_m: float) -> Float64[Array, "row error"]:
+        """Derivatives by errors that only these rows have in common, in sigmas; `tolerance_m`: of the ring.
+
+        `jacobian`: the derivatives of the whitened rows by the ring's step.
+        """
+        return np.zeros((len(jacobian), 0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -216,7 +219,7 @@ class EdgeFactor(Factor):
         wrt_ray: Float64[Array, "row xy=2"] = self.scale(at)[:, None] * at.edges.wrt_ray[self.beside]
         return wrt_ray
 
-    def own_errors(self, rows: Float64[Array, "row column"], tolerance_m: float) -> Float64[Array, "row error"]:
+    def own_errors(self, jacobian: Float64[Array, "row step=7"], tolerance_m: float) -> Float64[Array, "row error"]:
         """By errors of neighbouring points, by displacements of whole edges, and by the depth of the feet of walls.
 
         A chamfer or a rounding reflects laser light and ambient light in different directions, so that the edge in
@@ -231,9 +234,9 @@ class EdgeFactor(Factor):
         columns, of_edge = [self.common], self.edge[:, None] == range(len(EDGE_SIGN))
         rounded_m = min(ROUNDED_M, ROUNDED_TOLERANCES * tolerance_m)
         if rounded_m > 0.0:
-            columns.append(rounded_m * np.abs(rows[:, 1 + HALF_BAND, None]) * of_edge)
+            columns.append(rounded_m * np.abs(jacobian[:, HALF_BAND, None]) * of_edge)
         if self.walls:
-            outward = rows[:, 1 + LIFT, None]
+            outward = jacobian[:, LIFT, None]
             columns.append(WALL_SD_M * (of_edge & (outward * EDGE_SIGN > 0.0)) * outward)
         return np.concatenate(columns, axis=1)
 
@@ -333,7 +336,6 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
         rate_sds=sds,
         rate_deviations=np.divide(rates_along(arcs, rates), sds, out=np.zeros(5), where=sds > 0) if count else sds,
         at=at,
-        system=rows[:, : 1 + PARAMETERS],
         residual=rows[:, 0],
         jacobian=rows[:, 1 : 1 + PARAMETERS],
         wrt_rates=rows[:, 1 + PARAMETERS : 1 + PARAMETERS + count],
@@ -347,24 +349,41 @@ def linearize(
     start: RingArcs | MovingRing,
     observations: Observations,
     prior: Prior,
-    errors: Float64[Array, "error"] | None,
-    hopeless: float,
-) -> tuple[Residuals, FixedColumns | None, Float64[Array, "row"]]:
-    """The problem at a start: residuals, their derivatives by common errors, and what known `errors` leave of them.
+    errors: Float64[Array, "error"] | None = None,
+    hopeless: float = inf,
+) -> LinearProblem:
+    """The problem at a start; its derivatives by common errors are None for a ring that is a mere guess.
 
-    The derivatives are None for a ring that is a mere guess. LinAlgError if parameters are so far from being determined
-    that an iteration is useless: `hopeless` times more than the limits of `poorly_determined`.
+    `errors` are common errors that are known from an estimate nearby. LinAlgError if parameters are so far from being
+    determined that an iteration is useless: `hopeless` times more than the limits of `poorly_determined`.
     """
     arcs, rates = (start, STILL) if isinstance(start, RingArcs) else start
     residuals = ring_residuals(arcs, observations, prior, rates)
     if poorly_determined(np.linalg.inv(residuals.jacobian.T @ residuals.jacobian + RIDGE_MATRIX), hopeless):
         raise np.linalg.LinAlgError("parameters are not determined")
     if isinstance(start, RingArcs):
-        return residuals, None, residuals.residual
+        return LinearProblem(residuals, None, residuals.residual)
+    return linearized_at(residuals, prior, errors)
+
+
+def linearized_at(residuals: Residuals, prior: Prior, errors: Float64[Array, "error"] | None) -> LinearProblem:
+    """The problem at a ring near the solution, with the derivatives there by common errors."""
     fixed, count = common_errors(residuals, prior), len(residuals.rate_sds)
     if errors is None or len(errors) != count + fixed.columns.shape[1]:
-        return residuals, fixed, residuals.residual
-    return residuals, fixed, residuals.residual + fixed.columns @ errors[count:]
+        return LinearProblem(residuals, fixed, residuals.residual)
+    return LinearProblem(residuals, fixed, residuals.residual + fixed.columns @ errors[count:])
+
+
+def with_sigmas_raised(residuals: Residuals, factor: Float64[Array, "row"], observations: Observations) -> Residuals:
+    """The residuals of observations whose standard deviations are higher by a factor, which is 1 for the prior."""
+    scale = 1.0 / factor[:, None]
+    return residuals._replace(
+        residual=residuals.residual / factor,
+        jacobian=scale * residuals.jacobian,
+        wrt_rates=scale * residuals.wrt_rates,
+        wrt_camera=scale * residuals.wrt_camera,
+        observations=observations,
+    )
 
 
 def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) -> bool:
@@ -383,17 +402,17 @@ def rates_along(arcs: RingArcs, rates: Rates) -> Float64[Array, "rate=5"]:
     return np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
 
 
-def retract_ring(
-    residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]
-) -> tuple[RingArcs, Rates]:
-    """The ring and its rates after one step; `rate_step` is in standard deviations of the rates' prior.
+def retract_ring(residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]) -> Residuals:
+    """The ring and its rates after one step, with the residuals that it predicts.
 
-    A step longer than `MAX_TILT_RAD` is shortened as a whole. LinAlgError if the ring is then not in front of the
-    camera, or has an impossible size. The angular velocity stays across the normal.
+    `rate_step` is in standard deviations of the rates' prior. A step longer than `MAX_TILT_RAD` is shortened as a
+    whole. LinAlgError if the ring is then not in front of the camera, or has an impossible size. The angular velocity
+    stays across the normal.
     """
     arcs, rates = residuals.arcs, residuals.rates
     largest = max(map(abs, step[[TILT_INWARD, TILT_ALONG, TURN]].tolist()))
-    moved = arcs.retract(step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step)
+    step = step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step
+    moved = arcs.retract(step)
     depth_m = -float(arcs.axes[2] @ moved.origin)
     possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) < MAX_CURVATURE
     if not (possible and all(map(isfinite, step.tolist()))):
@@ -401,7 +420,10 @@ def retract_ring(
     if len(rate_step):
         along = rates_along(arcs, rates) + rate_step * residuals.rate_sds
         rates = Rates(along[:3], along[3:] @ moved.axes[:2])
-    return moved, rates
+    predicted = residuals.residual + residuals.jacobian @ step + residuals.wrt_rates @ (rate_step * residuals.rate_sds)
+    return residuals._replace(
+        arcs=moved, rates=rates, rate_deviations=residuals.rate_deviations + rate_step, residual=predicted
+    )
 
 
 # Errors that many rows have in common, whose derivatives are evaluated once, near the solution
@@ -429,7 +451,7 @@ def common_errors(residuals: Residuals, prior: Prior) -> FixedColumns:
         columns.append(residuals.wrt_camera @ covariance_root(covariance[np.ix_(uncertain, uncertain)]))
     shared = sum(each.shape[1] for each in columns)
     for factor, rows in observations.blocks:
-        own = factor.own_errors(residuals.system[rows], assumed.ring_tolerance_m)
+        own = factor.own_errors(residuals.jacobian[rows], assumed.ring_tolerance_m)
         columns.append(np.zeros((len(residuals.residual), own.shape[1])))
         columns[-1][rows] = own
     joined = np.concatenate(columns, axis=1)

@@ -62,11 +62,9 @@ class Residuals(NamedTuple):
     rate_deviations: Float64[Array, "rate"]
     """The rates in these standard deviations."""
     at: RingPrediction
-    system: Float64[Array, "row 8"]
-    """[r J]: the residuals r, and their derivatives J by the ring's step ..."""
     residual: Float64[Array, "row"]
     jacobian: Float64[Array, "row step=7"]
-    """... and both as parts of it."""
+    """Derivatives by the ring's step."""
     wrt_rates: Float64[Array, "row rate"]
     """Derivatives by the rates: velocity of the ring's centre, and angular velocities about its inward axis and about
     the axis along its face. No columns for a still ring."""
@@ -94,3 +92,13 @@ class FixedColumns(NamedTuple):
     """Derivatives by the errors of rig, form, mount and visible edges, in standard deviations."""
     edge_errors: int
     """Number of columns by errors of visible edges, which are the last ones."""
+
+
+class LinearProblem(NamedTuple):
+    """The problem linearised at a ring."""
+
+    residuals: Residuals
+    fixed: FixedColumns | None
+    """None if the ring is not near the solution."""
+    remaining: Float64[Array, "row"]
+    """What is left of the residuals by common errors that are known."""

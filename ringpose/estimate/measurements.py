@@ -155,6 +155,10 @@ class Edges:
     walls: bool = True
     """Whether the edges may be the feet of the ring's walls."""
 
+    def with_sigmas_raised(self, factor: Float64[Array, "visible"]) -> "Edges":
+        """The points with standard deviations that are higher by a factor."""
+        return replace(self, step=self.step * factor[:, None], common=self.common / factor[:, None])
+
     def factor(self, ends: int, points: int) -> EdgeFactor:
         """Their factor; their rays come after so many of ends of lines and of break points."""
         visible = len(self.edge)
@@ -494,8 +498,8 @@ def edges_of(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
     )
 
 
-def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
-    """The edges with standard deviations raised by the root of their integrated autocorrelation time in each frame.
+def error_inflation(edges: Edges, residual: Float64[Array, "visible"]) -> Float64[Array, "visible"]:
+    """Factors on the points' standard deviations: roots of their integrated autocorrelation times in each frame.
 
     `residual` are the points' residuals in a fit to all measurements, in standard deviations.
     """
@@ -507,4 +511,4 @@ def inflate_sigma(edges: Edges, residual: Float64[Array, "visible"]) -> Edges:
             along = edges.ray[members, :2] - edges.ray[members, :2].mean(axis=0)
             direction = np.linalg.svd(along, full_matrices=False)[2][0]
             factor[members] = np.sqrt(integrated_autocorrelation_time(residual[members][np.argsort(along @ direction)]))
-    return replace(edges, step=edges.step * factor[:, None], common=edges.common / factor[:, None])
+    return factor

@@ -23,12 +23,15 @@ from ringpose.estimate.factors import (
     Prior,
     common_errors,
     linearize,
+    linearized_at,
     poorly_determined,
     retract_ring,
     ring_residuals,
+    with_sigmas_raised,
 )
-from ringpose.estimate.linearization import FixedColumns, Observations, Residuals
+from ringpose.estimate.linearization import FixedColumns, LinearProblem, Observations, Residuals
 from ringpose.estimate.measurements import Measurements, Points
+from ringpose.geometry.least_squares import huber_weights
 from ringpose.geometry.ring import (
     CURVATURE,
     GENERATORS,
@@ -52,15 +55,18 @@ OUTLIER_SIGMAS = 3.5
 
 MAX_ITERATIONS = 20
 
-MIN_RATIO, MAX_EXTRAPOLATED = 0.005, 0.5
+MIN_RATIO, MAX_EXTRAPOLATED = 0.002, 0.5
 """Smallest ratio of successive steps that is relied on, and the largest one from which their sum is extrapolated."""
 
 NEAR_SIGMAS = 0.1
 """Length of a step, in standard deviations, below which the robust phase ends."""
 
-PRECISE_SIGMAS = 5e-9
+STEADY_SIGMAS = 0.3
+"""Way of the ring, in standard deviations, over which its derivatives by common errors hardly change."""
+
+PRECISE_SIGMAS = 1e-6
 """Estimated distance from the optimum, in standard deviations, at which the iteration of a pose ends: the measurement
-of a record and its priors give it to a nanometre."""
+of a record and its priors give it to some nanometres."""
 
 STRIPES_OF_A_PLANE = 2
 """With fewer stripes the tilt about the stripe is determined by the edges only."""
@@ -231,8 +237,8 @@ def _solved(
     ring = start if isinstance(start, RingArcs) else MovingRing(start.arcs, start.rates)
     hopeless = HOPELESS if prior.regularize_about is None else inf
     try:
-        end = gauss_newton(ring, observations, prior, tolerance_sigmas, errors=errors, hopeless=hopeless)
-        return _estimate(end, ring_residuals(end.arcs, observations, prior, end.rates))
+        problem = linearize(ring, observations, prior, errors, hopeless)
+        return _estimate(gauss_newton(problem, prior, tolerance_sigmas))
     except np.linalg.LinAlgError:
         return None
 
@@ -241,8 +247,23 @@ def precise_ring(estimate: Estimate) -> Estimate | None:
     """The estimate, iterated further to the precision of a pose; None if the iteration diverges."""
     observations, prior, errors = estimate.residuals.observations, estimate.prior, estimate.nuisance_step
     try:
-        end = gauss_newton(MovingRing(estimate.arcs, estimate.rates), observations, prior, errors=errors)
-        return _estimate(end, ring_residuals(end.arcs, observations, prior, end.rates))
+        problem = linearize(MovingRing(estimate.arcs, estimate.rates), observations, prior, errors)
+        return _estimate(gauss_newton(problem, prior))
+    except np.linalg.LinAlgError:
+        return None
+
+
+def reweighted_ring(
+    estimate: Estimate, measured: Measurements, factor: Float64[Array, "row"], tolerance_sigmas: float
+) -> Estimate | None:
+    """The ring by measurements whose standard deviations are higher by a factor; None if the iteration diverges.
+
+    The iteration goes on where that of the estimate ended, with its rows divided by the factor.
+    """
+    try:
+        residuals = with_sigmas_raised(estimate.residuals, factor, measured.observations)
+        problem = linearized_at(residuals, estimate.prior, estimate.nuisance_step)
+        return _estimate(gauss_newton(problem, estimate.prior, tolerance_sigmas))
     except np.linalg.LinAlgError:
         return None
 
@@ -257,17 +278,18 @@ def refine_ring(
     """
     start, observations = MovingRing(arcs, STILL), measured.observations
     try:
-        end = gauss_newton(start, observations, prior, 0.0, iterations=iterations, redescending=True)
-        return end.arcs, _inverse(end.normal_matrix)
+        problem = linearize(start, observations, prior)
+        end = gauss_newton(problem, prior, 0.0, iterations=iterations, redescending=True)
+        return end.residuals.arcs, _inverse(end.normal_matrix)
     except np.linalg.LinAlgError:
         return None
 
 
 class Iterated(NamedTuple):
-    """The ring after an iteration, and what is left of the last linearised problem."""
+    """The last linearised problem of an iteration, with the ring after its step."""
 
-    arcs: RingArcs
-    rates: Rates
+    residuals: Residuals
+    """Those that the last step predicts."""
     prior: Prior
     fixed: FixedColumns
     weights: Float64[Array, "row"]
@@ -278,58 +300,36 @@ class Iterated(NamedTuple):
 
 
 def gauss_newton(
-    start: RingArcs | MovingRing,
-    observations: Observations,
+    start: LinearProblem,
     prior: Prior,
     tolerance_sigmas: float = PRECISE_SIGMAS,
     *,
-    errors: Float64[Array, "error"] | None = None,
-    hopeless: float = inf,
     iterations: int | None = None,
     redescending: bool = False,
 ) -> Iterated:
-    """Iteratively reweighted Gauss-Newton; LinAlgError if it diverges.
+    """Iteratively reweighted Gauss-Newton from the problem at a start; LinAlgError if it diverges.
 
-    Derivatives by common errors are evaluated at a `MovingRing`, which is near the solution, or else after the first
-    step; they hardly change later. `errors` are common errors that are known from an estimate nearby: the first weights
-    follow from the residuals that are left. `hopeless` multiplies the limits of `poorly_determined` from which a start
-    is given up. With `redescending` weights, which follow from the residuals themselves, all iterations are made.
-
-    Common errors q of unit variance, with the derivatives B, are eliminated: the Schur complement of the normal
-    equations [J B]^T W [J B] + diag(0, 1) is S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, and
-    S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 (B^T W r + q)), Eq. (5.9). The residuals contain the common errors q
-    that are estimated already, the rates, which come first; the others are 0 there.
+    Derivatives by common errors are those of the start or, where it has none, those after the first step, and again
+    those near the solution if it is farther away than `STEADY_SIGMAS`. With `redescending` weights, which follow from
+    the residuals themselves, all iterations are made.
 
     Near the solution each step is the same multiple of the previous one, because second derivatives are neglected: the
-    sum of a step and all following ones is step / (1 - ratio) (Aitken's method).
+    sum of a step and all following ones is step / (1 - ratio) (Aitken's method). The residuals are not evaluated after
+    the last step, which predicts them: it neglects less than what is left of the distance from the optimum.
     """
-    residuals, fixed, predicted = linearize(start, observations, prior, errors, hopeless)
+    residuals, fixed, predicted = start
+    observations = residuals.observations
     robust, many = np.flatnonzero(observations.robust), np.flatnonzero(observations.many)
-    own, weights, near = 1 + PARAMETERS, np.ones(len(predicted)), False
-    arcs, rates = residuals.arcs, residuals.rates
-    sigmas, last_step, last_ratio = inf, np.zeros(PARAMETERS), 0.0
+    weights, near = np.ones(len(predicted)), False
+    sigmas, last_step, last_ratio, since_fixed = inf, np.zeros(PARAMETERS), 0.0, 0.0
     for iteration in range(MAX_ITERATIONS if iterations is None else iterations):
         if iteration:
-            residuals = ring_residuals(arcs, observations, prior, rates)
-            fixed = common_errors(residuals, prior) if fixed is None else fixed
-        # weights from the residuals that the last step predicts: before it, outliers hide among large residuals
-        if redescending:
-            weights[robust] = (1.0 + (residuals.residual[robust] / HUBER_SIGMAS) ** 2) ** -2
-        elif not near:
-            weights[robust] = HUBER_SIGMAS / np.maximum(np.abs(predicted[robust]), HUBER_SIGMAS)
-
-        common = [residuals.wrt_rates * residuals.rate_sds, *([] if fixed is None else [fixed.columns])]
-        columns = np.concatenate([residuals.system, *common], axis=1)  # [r J B]
-        products = (columns.T * weights) @ columns
-        products.ravel()[own * (len(products) + 1) :: len(products) + 1] += 1.0
-        reduced, cross = products[1:own, :own], products[own:]
-        cross[: len(residuals.rate_deviations), 0] += residuals.rate_deviations
-        solution = np.linalg.solve(cross[:, own:], cross[:, :own])
-        reduced = reduced - cross[:, 1:own].T @ solution
-        normal_matrix = reduced[:, 1:]
-        step = -np.linalg.solve(normal_matrix + RIDGE_MATRIX, reduced[:, 0])
-        nuisance_step = -solution[:, 0] - solution[:, 1:] @ step
-        predicted = columns[:, 0] + columns[:, 1:own] @ step + columns[:, own:] @ nuisance_step
+            residuals = ring_residuals(residuals.arcs, observations, prior, residuals.rates)
+            if fixed is None or (near and since_fixed > STEADY_SIGMAS):
+                fixed, since_fixed, last_step = common_errors(residuals, prior), 0.0, 0.0 * last_step
+        if not near:
+            weights[robust] = _robust_weights(residuals.residual[robust], predicted[robust], redescending)
+        step, nuisance_step, normal_matrix, predicted = _step(residuals, fixed, weights)
 
         # lengths are those of Mahalanobis; after a long step, or one that was extrapolated, it shows too little
         last_sigmas, sigmas = sigmas, sqrt(max(float(step @ normal_matrix @ step), 0.0))
@@ -340,7 +340,8 @@ def gauss_newton(
         extrapolated = 0.0 < abs(ratio) < MAX_EXTRAPOLATED
         factor = 1.0 / (1.0 - ratio) if extrapolated else 1.0
         last_step, last_ratio = (0.0 * step, abs(ratio)) if extrapolated else (step, 0.0)
-        arcs, rates = retract_ring(residuals, factor * step, factor * nuisance_step[: len(residuals.rate_sds)])
+        since_fixed += factor * sigmas
+        residuals = retract_ring(residuals, factor * step, factor * nuisance_step[: len(residuals.rate_sds)])
         if not (near or redescending or fixed is None) and sigmas < NEAR_SIGMAS:
             near, approached, weights = True, weights, np.ones(len(weights))
             weights[many] = np.abs(predicted[many]) < OUTLIER_SIGMAS
@@ -349,7 +350,46 @@ def gauss_newton(
         if near and distance_sigmas < tolerance_sigmas:
             break
     assert fixed is not None
-    return Iterated(arcs, rates, prior, fixed, weights, normal_matrix, nuisance_step, distance_sigmas)
+    return Iterated(residuals, prior, fixed, weights, normal_matrix, nuisance_step, distance_sigmas)
+
+
+def _robust_weights(
+    residual: Float64[Array, "row"], predicted: Float64[Array, "row"], redescending: bool
+) -> Float64[Array, "row"]:
+    """Weights of rows that may be outliers, redescending ones of Geman and McClure or those of Huber.
+
+    The latter follow from the residuals that the last step predicts: before it, outliers hide among large residuals.
+    """
+    if redescending:
+        weights: Float64[Array, "row"] = (1.0 + (residual / HUBER_SIGMAS) ** 2) ** -2
+        return weights
+    return huber_weights(predicted, HUBER_SIGMAS)
+
+
+def _step(
+    residuals: Residuals, fixed: FixedColumns | None, weights: Float64[Array, "row"]
+) -> tuple[Float64[Array, "7"], Float64[Array, "error"], Float64[Array, "7 7"], Float64[Array, "row"]]:
+    """The step of ring and common errors, the normal matrix, and the residuals that the step predicts, Eq. (5.9).
+
+    Common errors q of unit variance, with the derivatives B, are eliminated: the Schur complement of the normal
+    equations [J B]^T W [J B] + diag(0, 1) is S = J^T W J - J^T W B (1 + B^T W B)^-1 B^T W J, and
+    S step = -(J^T W r - J^T W B (1 + B^T W B)^-1 (B^T W r + q)). The residuals contain the common errors q that are
+    estimated already, the rates, which come first; the others are 0 there.
+    """
+    own = 1 + PARAMETERS
+    common = [residuals.wrt_rates * residuals.rate_sds, *([] if fixed is None else [fixed.columns])]
+    columns = np.concatenate([residuals.residual[:, None], residuals.jacobian, *common], axis=1)  # [r J B]
+    products = (columns.T * weights) @ columns
+    products.ravel()[own * (len(products) + 1) :: len(products) + 1] += 1.0
+    reduced, cross = products[1:own, :own], products[own:]
+    cross[: len(residuals.rate_deviations), 0] += residuals.rate_deviations
+    solution = np.linalg.solve(cross[:, own:], cross[:, :own])
+    reduced = reduced - cross[:, 1:own].T @ solution
+    normal_matrix = reduced[:, 1:]
+    step = -np.linalg.solve(normal_matrix + RIDGE_MATRIX, reduced[:, 0])
+    nuisance_step = -solution[:, 0] - solution[:, 1:] @ step
+    predicted = columns[:, 0] + columns[:, 1:own] @ step + columns[:, own:] @ nuisance_step
+    return step, nuisance_step, normal_matrix, predicted
 
 
 def nuisance_columns(residuals: Residuals, fixed: FixedColumns) -> Float64[Array, "row error"]:
@@ -357,9 +397,12 @@ def nuisance_columns(residuals: Residuals, fixed: FixedColumns) -> Float64[Array
     return np.concatenate([residuals.wrt_rates * residuals.rate_sds, fixed.columns], axis=1)
 
 
-def _estimate(end: Iterated, residuals: Residuals) -> Estimate:
-    """The estimate at the end of an iteration, with the residuals there."""
+def _estimate(end: Iterated) -> Estimate:
+    """The estimate at the end of an iteration; LinAlgError if it is singular."""
     fixed, nuisance_step, inverse = end.fixed, end.nuisance_step, _inverse(end.normal_matrix)
+    residuals = end.residuals
+    if not end.distance_sigmas < NEAR_SIGMAS:  # the last step was too long to predict the residuals
+        residuals = ring_residuals(residuals.arcs, residuals.observations, end.prior, residuals.rates)
     determined = not poorly_determined(inverse)
     nuisance, many = nuisance_columns(residuals, fixed), np.flatnonzero(residuals.observations.many)
     nuisance_step[: len(residuals.rate_sds)] = 0.0

@@ -38,7 +38,9 @@ def main() -> None:
     print_numbers(trees)
     print_flags(trees)
     print_record_keys()
-    print_path("the second of two shots through `ringpose pose`", trace_of_shot())
+    of_shot = trace_of_shot()
+    print_path("the second of two shots through `ringpose pose`", of_shot)
+    print_solves(of_shot)
     print_path("`ringpose calibrate-planes` on board shots", trace_of_planes())
 
 
@@ -271,6 +273,16 @@ def print_path(title: str, calls: Sequence[CodeType]) -> None:
     print(f"\n{title}: {len(entered)} calls, {len(order)} modules, {len(pairs)} switches, ", end="")
     print(f"{once} with alternations of one pair counted once, {lines_entered(calls)} lines of functions entered")
     print("  " + " > ".join(name.removeprefix("ringpose.") for name in order))
+
+
+def print_solves(calls: Sequence[CodeType]) -> None:
+    """How often a trace of a shot estimates the ring, and with how many linearised problems, the pose's own apart."""
+    names = [code.co_name for code in calls]
+    after = names.index("most_likely_pose")
+    solves, from_ring = names.count("gauss_newton"), names.count("linearized_at")
+    print(f"rings solved from a guess: {solves - from_ring}, iterated from a known ring: {from_ring}")
+    of_pose, of_both = names[after:].count("ring_residuals"), names.count("ring_residuals")
+    print(f"linearisations of the ring: {of_both - of_pose} in detection, {of_pose} of the pose")
 
 
 if __name__ == "__main__":
