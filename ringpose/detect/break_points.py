@@ -14,14 +14,21 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.detect.difference_images import LaserImage, beside_left_out
-from ringpose.detect.rim import Face
+from ringpose.detect.rim import IN_FRONT_M, Face
 from ringpose.detect.ring_edges import straight
 from ringpose.detect.stripes import lens
 from ringpose.estimate.explanation import Explanation, decision
 from ringpose.estimate.factors import Prior
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.rays import intersect, nearest_plane, project, towards_camera, undistorted_rays
+from ringpose.geometry.rays import (
+    POINTS_OF_A_PLANE,
+    intersect,
+    nearest_plane,
+    project,
+    towards_camera,
+    undistorted_rays,
+)
 from ringpose.kernels import _kernels, column_names, kernel_record
 from ringpose.kernels.lines import (
     CENTERS,
@@ -279,14 +286,17 @@ FACET_SIGMAS = 6.0
 across the stripe."""
 
 
+BEYOND_COLUMNS = 40
+"""Columns beyond a segment in which its end is searched, and the stripe on a surface that hides it."""
+
+
 @kernel_record
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EndParams:
     """Parameters of the endpoint search. The face is the part of the stripe on the ring's rim."""
 
     saturation_dn: int
-    beyond_columns: int = 40
-    """Columns beyond a segment in which its end is searched."""
+    beyond_columns: int = BEYOND_COLUMNS
     inside_columns: int = INSIDE_COLUMNS
     outside_columns: int = OUTSIDE_COLUMNS
     flank_sigmas: float = 3.0
@@ -466,16 +476,6 @@ LINE = [SEGMENT_COLUMNS.index(name) for name in LINE_COLUMNS]
 """Columns of a segment that describe its line."""
 
 
-IN_FRONT_M = 0.005
-"""Height above the ring's face from which a surface is not part of the ring."""
-
-BESIDE_PX = 40.0
-"""Maximum distance between an occluded end and the stripe on the occluding surface."""
-
-MIN_POINTS_OF_PLANE = 3
-"""Ends that determine the plane of the face."""
-
-
 def beside_occluder(ends: Ends, segments: Float64[Array, "segment column=12"], rig: Rig) -> Bool[Array, "laser end=2"]:
     """Mask of the ends beside which another stripe of the same laser begins that lies in front of the face in space."""
     beside = np.zeros(ends.flags.shape, dtype=bool)
@@ -484,10 +484,10 @@ def beside_occluder(ends: Ends, segments: Float64[Array, "segment column=12"], r
     near_x = segments[:, [X_END, X_START]].T
     outward = (near_x - ends.straight_px[:, :, :1]) * np.array([-1.0, 1.0])[:, None]
     own = (segments[:, LASER] == np.arange(len(seen))[:, None]) | (segments[:, LASER] == UNLABELLED)
-    near = seen[..., None] & own[:, None] & (outward > -BESIDE_PX / 4) & (outward < BESIDE_PX)
+    near = seen[..., None] & own[:, None] & (outward > -BEYOND_COLUMNS / 4) & (outward < BEYOND_COLUMNS)
     laser, side, segment = np.nonzero(near)
     known = seen & np.isfinite(ends.straight_px[..., 0])
-    if not len(laser) or known.sum() < MIN_POINTS_OF_PLANE:
+    if not len(laser) or known.sum() < POINTS_OF_A_PLANE:
         return beside
     x = near_x[side, segment]
     y = segments[segment, MIDDLE_Y] + segments[segment, SLOPE] * (x - segments[segment, MIDDLE_X])
@@ -496,9 +496,9 @@ def beside_occluder(ends: Ends, segments: Float64[Array, "segment column=12"], r
     points = intersect(undistorted_rays(pixels, rig.camera), rig.lasers.normal[of], rig.lasers.distance_m[of])
     face, stripe = np.split(points, [len(points) - len(laser)])
     face = face[np.isfinite(face).all(axis=1)]
-    if len(face) < MIN_POINTS_OF_PLANE:
+    if len(face) < POINTS_OF_A_PLANE:
         return beside
     mean = face.mean(axis=0)
-    in_front = (stripe - mean) @ towards_camera(nearest_plane(face)[0], mean) > IN_FRONT_M
+    in_front = (stripe - mean) @ towards_camera(nearest_plane(face)[0], mean) > IN_FRONT_M[0]
     beside[laser[in_front], side[in_front]] = True
     return beside

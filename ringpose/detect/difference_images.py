@@ -15,6 +15,13 @@ from ringpose.types.arrays import Array, Bool, Float32, Float64, UInt
 from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints, NoBreakPoints
 from ringpose.types.image import Frame, Shot, searched_frames
 
+VISIBLE_SHARE = 8 / 255
+"""Range of grey values, as a share of the saturation value, from which light shows what it falls on: below it an image
+is reported as dark, and ambient light does not show the ring's edges."""
+
+BAND_PX = 24
+"""Margin about what is searched near a predicted place: a motion of 15 mm at 1 m between two frames."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LaserImage:
@@ -90,17 +97,13 @@ def _laser_image(shot: Shot, number: int, lasers: tuple[int, ...], also_on: int,
 
 # Saturation by ambient light, and the exposure that would avoid it
 
-HIDING_COLUMNS, FLANK_ROWS, HIDDEN_SHARE = np.arange(2.0, 8.0), np.array([-7.0, -6.0, 6.0, 7.0]), 0.5
+HIDING_COLUMNS, FLANK_ROWS = np.arange(2.0, 8.0), np.array([-7.0, -6.0, 6.0, 7.0])
 """Columns beyond an end in which ambient light may hide the stripe; rows about its line in which that shows without a
-background frame; share of saturated pixels there above which it does."""
-
-HIDDEN_COURSE, COURSE_STEP = 0.5, 8
-"""Share of a stripe's course across the image in which ambient light saturates, above which the stripe may be brightest
-where it cannot be seen; step in columns by which it is sampled."""
+background frame."""
 
 
 def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], saturation_dn: int) -> bool:
-    """Whether the ambient light saturates beside most of the ends, so that stripes that go on would not be seen.
+    """Whether the ambient light saturates most pixels beside most ends, so that stripes that go on would not be seen.
 
     Such ends may be borders of a shadow on a surface that goes on: the shadow of a ring on foil has the shape of a
     ring. Beside single ends of a ring there may be glints of foil.
@@ -117,7 +120,7 @@ def hidden_by_saturation(points: BreakPoints, images: Sequence[LaserImage], satu
         inside = (column >= 0) & (column < ambient.shape[1])
         near = ambient[row[:, :, None], column.clip(0, ambient.shape[1] - 1)[:, None]] >= saturation_dn
         share = (near & inside[:, None]).mean(axis=(1, 2))
-        hidden += int(np.count_nonzero(share > HIDDEN_SHARE))
+        hidden += int(np.count_nonzero(2.0 * share > 1.0))
     return hidden > 0 and 2 * hidden >= int(points.seen.sum())
 
 
@@ -136,12 +139,12 @@ def saturated_along_stripes(points: BreakPoints, images: Sequence[LaserImage], s
         )
         known = np.isfinite(start + end).all(axis=1)
         start, end = start[known], end[known]
-        column = np.arange(0, ambient.shape[1], COURSE_STEP)
+        column = np.arange(ambient.shape[1])
         slope = (end[:, 1:] - start[:, 1:]) / (end[:, :1] - start[:, :1])
         row = np.rint((start[:, 1:] + slope * (column - start[:, :1]))[:, None] + rows[:, None]).astype(int)
         inside = (row >= 0) & (row < ambient.shape[0])
         course = inside & (ambient[row.clip(0, ambient.shape[0] - 1), column] >= saturation_dn)
-        saturated += int((course.sum(axis=(1, 2)) > HIDDEN_COURSE * inside.sum(axis=(1, 2))).sum())
+        saturated += int((2 * course.sum(axis=(1, 2)) > inside.sum(axis=(1, 2))).sum())
         stripes += len(start)
     return 2 * saturated > stripes
 
@@ -177,8 +180,8 @@ def beside_left_out(
 SATURATED_SHARE = 0.02
 """Share of saturated pixels above which a shot without break points is overexposed; stripes cover less."""
 
-SHORTER, MUCH_SHORTER = 2.0, 4.0
-"""Factors by which a shorter exposure is suggested: if stripes are saturated, and if ambient light is."""
+SHORTER = 2.0
+"""Factor by which a shorter exposure is suggested if stripes are saturated, and twice if ambient light is."""
 
 
 LASER_RATIO = 3.0
@@ -226,6 +229,6 @@ def overexposure(points: BreakPoints | NoBreakPoints, images: Sequence[LaserImag
     saturation_dn = images[0].saturation_dn
     ambient = [image.lit if image.dark is None else image.dark for image in images]
     if max(float((each[::4, ::4] >= saturation_dn).mean()) for each in ambient) > SATURATED_SHARE:
-        return MUCH_SHORTER
+        return SHORTER**2
     lit = max(float((image.lit[::4, ::4] >= saturation_dn).mean()) for image in images)
     return SHORTER if lit > SATURATED_SHARE / 4 else 1.0

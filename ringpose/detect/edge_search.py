@@ -224,7 +224,11 @@ OUTSIDE_PX = 3
 """Samples beyond the outermost candidate position."""
 
 ALONG_PX = 4
-"""Length of edge over which a profile is averaged: the intensity beyond the edge may change within a few pixels."""
+"""Length of edge over which a profile is averaged, and the spacing of the places where none is left out: the intensity
+beyond the edge may change within a few pixels."""
+
+CLOSE_REACH_PX = 2
+"""Half width of the search across an edge whose place is known: that of a candidate, or of the ring that is fitted."""
 
 PLACES = 0.25
 """Spacing of the candidate positions in pixels; a parabola interpolates between them."""
@@ -476,11 +480,6 @@ def rays_beside(trace: EdgeTrace, offset_px: Float64[Array, "n"]) -> Float64[Arr
 PREDICTED_SIGMA_PX = 1.3
 """Edges are searched where the standard deviation of their prediction is at most this."""
 
-ONE_STRIPE = 1
-"""A single stripe, whose two ends are no evidence for a ring: the edges must be curved. The tilt of the face about the
-stripe follows from the course of both edges; a single edge determines it only by curvatures of tenths of a pixel, to
-which foil beside it contributes as much."""
-
 
 class PredictedRing(NamedTuple):
     """A predicted ring, and the covariance of its increments (`STEP` of `ringpose.geometry.ring`)."""
@@ -500,9 +499,9 @@ FARTHER = 1.05
 WALK_SPACING_PX, WALK_REACH_PX = 12, 4
 """Spacing of the places while tracking, and half width of the search across the edge."""
 
-FIRST_SPACING_PX, FIRST_REACH_PX, FIRST_PX = 4, 2, 600
-"""The same while less than `FIRST_PX` of both edges are predicted: there are few steps, so that none is left out, and a
-wide search would find more steps of foil than the fit could reject."""
+FIRST_PX = 600
+"""While less than this of both edges are predicted, there are few steps, so that none is left out (`ALONG_PX`), and a
+search wider than `CLOSE_REACH_PX` would find more steps of foil than the fit could reject."""
 
 MIN_SHARE = 0.05
 """Minimum share of the predicted places that show a step."""
@@ -522,7 +521,7 @@ def tracked_ring(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> Pred
         if ring is None or not plausible(ring.arcs):
             return None
         first = tracked_px < FIRST_PX
-        spacing_px, reach_px = (FIRST_SPACING_PX, FIRST_REACH_PX) if first else (WALK_SPACING_PX, WALK_REACH_PX)
+        spacing_px, reach_px = (ALONG_PX, CLOSE_REACH_PX) if first else (WALK_SPACING_PX, WALK_REACH_PX)
         trace = edge_trace(*ring, rig.camera, spacing_px, PREDICTED_SIGMA_PX)
         if len(trace.edge_sign) * spacing_px <= tracked_px * FARTHER:
             break
@@ -548,9 +547,6 @@ MIN_NUMBER, MAX_NUMBER = 2, 9
 
 SPACING_PX = 6.0
 """... and their spacing: so near the stripe the edges are straight."""
-
-START_REACH_PX = 2
-"""Half width of the search across a candidate edge."""
 
 MIN_STEPS = 5
 """Minimum number of places that show a step ..."""
@@ -581,13 +577,13 @@ def edges_beside_stripe(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) 
         tables.append(edge_places(ring, along_m, edge_sign, label, lens(rig.camera), params).table)
     trace = outside_stripes(frame, EdgeTrace(np.concatenate(tables)))  # its `number` is the candidate direction
 
-    clear = clear_steps(frame, trace, START_REACH_PX)
+    clear = clear_steps(frame, trace, CLOSE_REACH_PX)
     count = np.bincount(clear.trace.number.astype(np.int64), minlength=len(turned))
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
     if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
         return arcs, no_edges(rig.camera)
-    steps = clear_steps(frame, trace.selected(trace.number == best), START_REACH_PX)
+    steps = clear_steps(frame, trace.selected(trace.number == best), CLOSE_REACH_PX)
     return turned[best], edge_observations(steps, rig)
 
 
@@ -653,7 +649,7 @@ class RingFromStripes:
         Beside several stripes the edges count as those of the face, to be searched farther along it.
         """
         prior = Prior(regularize_about=self.start.arcs)
-        edges = replace(edges, walls=len(self.measured.lines.laser) == ONE_STRIPE)
+        edges = replace(edges, walls=len(self.measured.lines.laser) == 1)
         with np.errstate(all="ignore"):
             ring = refine_ring(replace(self.measured, edges=edges), prior, arcs, iterations)
         return None if ring is None else PredictedRing(*ring)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ringpose.detect.difference_images import LaserImage, brightest_image
+from ringpose.detect.stripes import MIN_COLUMNS
 from ringpose.kernels import _kernels
 from ringpose.types.arrays import Array, Bool, Float64, Int16, Int32, Int64, UInt, UInt8, UInt16
 from ringpose.types.detection import UNLABELLED, BreakPoints, Detection, NoBreakPoints, Segments, Stripes
@@ -277,7 +278,7 @@ def _pixel_ends(segments: Segments, ends_px: Float64[Array, "edge=2 xy=2"]) -> F
     order = np.argsort(ends_px[:, 0])
     (left, first), (right, last) = ends_px[order].tolist()
     found = np.full((2, 2), np.nan)
-    if not np.isfinite(ends_px).all() or right - left < MINIMUM_COLUMNS:
+    if not np.isfinite(ends_px).all() or right - left < MIN_COLUMNS:
         return found
     from_left = np.where(
         (segments.start_px[:, 0] <= segments.end_px[:, 0])[:, None], segments.start_px, segments.end_px
@@ -286,7 +287,7 @@ def _pixel_ends(segments: Segments, ends_px: Float64[Array, "edge=2 xy=2"]) -> F
     slope, reach = (last - first) / (right - left), WIDTH_PX[1] / 2
     over = np.minimum(to_right[:, 0], right) - np.maximum(from_left[:, 0], left)
     off_px = [each[:, 1] - first - slope * (each[:, 0] - left) for each in (from_left, to_right)]
-    along = (over >= MINIMUM_COLUMNS - 1) & (np.maximum(np.abs(off_px[0]), np.abs(off_px[1])) < reach)
+    along = (over >= MIN_COLUMNS - 1) & (np.maximum(np.abs(off_px[0]), np.abs(off_px[1])) < reach)
     sides = [along & (side * (off_px[0] + off_px[1]) > 0) for side in (-1, 1)]
     if all(side.any() for side in sides):
         outermost = [
@@ -302,9 +303,6 @@ WIDTH_PX = (1.5, 14.0)
 
 PARALLEL = 0.12
 """Maximum difference of the edges' slopes."""
-
-MINIMUM_COLUMNS = 8
-"""Minimum overlap of the two edges, in columns."""
 
 CONTRAST_DN = 4.0
 """Minimum difference of the brightness between the edges and outside them."""
@@ -348,14 +346,14 @@ def _edge_pairs(
     """Upper and lower segment of each possible stripe, with the first and last column of their overlap."""
     left = np.minimum(segments.start_px[:, 0], segments.end_px[:, 0])
     right = np.maximum(segments.start_px[:, 0], segments.end_px[:, 0])
-    lying = np.flatnonzero(right - left >= MINIMUM_COLUMNS - 1)
+    lying = np.flatnonzero(right - left >= MIN_COLUMNS - 1)
     upper, lower = (each.ravel() for each in np.meshgrid(lying, lying, indexing="ij"))
     first = np.maximum(left[upper], left[lower])
     last = np.minimum(right[upper], right[lower])
     slope = _slope(segments)
     middle = (first + last) / 2
     width = _ordinate(segments, lower, middle) - _ordinate(segments, upper, middle)
-    fits: Bool[Array, "pair"] = (last - first >= MINIMUM_COLUMNS - 1) & (width > WIDTH_PX[0]) & (width < WIDTH_PX[1])
+    fits: Bool[Array, "pair"] = (last - first >= MIN_COLUMNS - 1) & (width > WIDTH_PX[0]) & (width < WIDTH_PX[1])
     fits &= np.abs(slope[upper] - slope[lower]) < PARALLEL
     return upper[fits], lower[fits], first[fits].astype(np.int64), last[fits].astype(np.int64)
 

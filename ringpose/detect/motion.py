@@ -14,7 +14,8 @@ import cv2
 import numpy as np
 
 from ringpose.geometry.least_squares import huber_weights
-from ringpose.geometry.rays import intersect, project, rays, undistorted_pixels, undistorted_rays
+from ringpose.geometry.rays import POINTS_OF_A_PLANE, intersect, project, rays, undistorted_pixels, undistorted_rays
+from ringpose.optics.feature_errors import MIN_PEAK, MINIMUM_POINTS
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot
@@ -32,17 +33,8 @@ WINDOW_PX, LEVELS = 21, 2
 MARGIN_PX = 100
 """Margin of the compared parts of both images about the edges."""
 
-MIN_CONTRAST_SHARE = 3 / 255
-"""Minimum grey-value range across the edge, as a share of the saturation value, at which it is visible."""
-
 ACROSS_PX = np.arange(-12.0, 13.0, 4.0)
 """Distances across the edge at which that range is taken."""
-
-MIN_ENDS = 3
-"""Minimum number of break points: they determine the depth of the places."""
-
-MIN_PLACES = 12
-"""Minimum number of places with a displacement."""
 
 SIGMA_PX = 3.0
 """Standard deviation of a single displacement: neighbouring places share their windows and what lies behind."""
@@ -88,17 +80,17 @@ def ring_motion(points: BreakPoints, shot: Shot, rig: Rig) -> RingMotion | None:
     if not duration_s > 0:
         return None
     position, normal = _edge_places(points, bool(shot.lasers[last]))
-    if len(position) < MIN_PLACES:
+    if len(position) < MINIMUM_POINTS:
         return None
     corner = np.maximum(position.min(axis=0).astype(np.int64) - MARGIN_PX, 0)
     right, bottom = position.max(axis=0).astype(np.int64) + MARGIN_PX
     before, after = (shot.images[number, corner[1] : bottom, corner[0] : right] for number in (first, last))
-    visible = _contrast(before, position - corner, normal) >= MIN_CONTRAST_SHARE * shot.saturation_dn
-    if np.count_nonzero(visible) < MIN_PLACES:
+    visible = _contrast(before, position - corner, normal) >= MIN_PEAK * shot.saturation_dn
+    if np.count_nonzero(visible) < MINIMUM_POINTS:
         return None
     position, normal = position[visible], normal[visible]
     shift_px, tracked = _shift_across(before, after, position - corner, normal)
-    if np.count_nonzero(tracked) < MIN_PLACES:
+    if np.count_nonzero(tracked) < MINIMUM_POINTS:
         return None
     motion = _fitted(
         position[tracked], normal[tracked], shift_px[tracked] / duration_s, SIGMA_PX / duration_s, points, rig
@@ -171,7 +163,7 @@ def _fitted(
     ends_px = points.position_px[laser, edge]
     ends_m = intersect(rays(ends_px, rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser])
     pivot = ends_m.mean(axis=0)
-    if len(ends_m) < MIN_ENDS or not (np.isfinite(ends_m).all() and pivot[2] > 0):
+    if len(ends_m) < POINTS_OF_A_PLANE or not (np.isfinite(ends_m).all() and pivot[2] > 0):
         return None
     # inverse depth of a plane is linear in the image
     design = np.column_stack([ends_px, np.ones(len(ends_px))])

@@ -15,6 +15,8 @@ import numpy as np
 
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
 from ringpose.detect.difference_images import (
+    BAND_PX,
+    VISIBLE_SHARE,
     LaserImage,
     exposure_advice,
     hidden_by_saturation,
@@ -23,12 +25,12 @@ from ringpose.detect.difference_images import (
     saturated_along_stripes,
 )
 from ringpose.detect.motion import RingMotion, ring_motion
-from ringpose.detect.rim import CLEAR_MARGIN, CONFIRMED, Face, planes_per_m, ring_face
+from ringpose.detect.rim import CLEAR_MARGIN, CONFIRMED, LONG_COLUMNS, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.stripes import BLOCK, MAX_GAP, find_stripes, stripe_line_segments, without_ghosts
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
-from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
+from ringpose.kernels.lines import CENTERS, DEPTH_RANGE_M, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
 from ringpose.types.arrays import Array, Bool, Float64, Int32, Int64
 from ringpose.types.assumptions import USUAL, Assumptions
 from ringpose.types.detection import (
@@ -49,9 +51,6 @@ from ringpose.types.detection import (
 from ringpose.types.image import Frame, Shot
 from ringpose.types.options import StripeSource
 from ringpose.types.rig import Camera, LaserGhost, Rig
-
-DARK_SHARE = 8 / 255
-"""Share of the saturation value that the brightest pixel of a frame must reach, or the image is reported as dark."""
 
 MOVED_PX = 0.5
 """Displacement of the ring's edges from which the background of another frame is not subtracted."""
@@ -578,7 +577,7 @@ def _dark_frame_lit(image: LaserImage) -> bool:
     """Whether the background shows stripes that the frame with the laser does not have."""
     if image.dark is None:
         return False
-    step_dn = round(DARK_SHARE * image.threshold_scale_dn)
+    step_dn = round(VISIBLE_SHARE * image.threshold_scale_dn)
     lit, dark = image.lit, image.dark
     brighter_lit = np.count_nonzero((lit > dark) & (lit - dark > step_dn))
     brighter_dark = np.count_nonzero((dark > lit) & (dark - lit > step_dn))
@@ -602,18 +601,12 @@ def _masks_contradicted(face: Face | None, segments: Float64[Array, "segment col
 
 
 def _why_no_stripe(images: Sequence[LaserImage]) -> NoBreakPoints:
-    if all(image.lit.max() < DARK_SHARE * image.threshold_scale_dn for image in images):
+    if all(image.lit.max() < VISIBLE_SHARE * image.threshold_scale_dn for image in images):
         return NoBreakPoints.IMAGE_DARK
     if all(np.median(image.lit) >= image.saturation_dn for image in images):
         return NoBreakPoints.IMAGE_SATURATED
     return NoBreakPoints.NO_STRIPE
 
-
-POSSIBLE_PER_M = (-1 / 3, 20.0)
-"""Limits of the inverse depth in 1/m: from 5 cm to infinity, with a margin for calibration and noise."""
-
-LONG_COLUMNS = 30
-"""Minimum length of the segments examined; shorter ones may be reflections or on facets of foil."""
 
 MIN_POSSIBLE_SHARE = 0.5
 """Minimum share of the long segments' columns at a possible depth; in 81 rendered shots it is 1, in the same turned
@@ -632,10 +625,9 @@ def stripes_behind_camera(segments: Float64[Array, "segment column=12"], rig: Ri
 def _possible(segments: Float64[Array, "segment column=12"], rig: Rig) -> Bool[Array, "segment laser"]:
     """For each segment and laser, whether part of the segment has a possible depth on the laser's light plane."""
     per_m = undistorted_rays(_ends_undistorted_px(segments), rig.camera) @ planes_per_m(rig).T
-    possible: Bool[Array, "segment laser"] = (per_m.max(axis=1) > POSSIBLE_PER_M[0]) & (
-        per_m.min(axis=1) < POSSIBLE_PER_M[1]
-    )
-    return possible
+    nearest_m, farthest_m = DEPTH_RANGE_M
+    # to infinity, with a margin for calibration and noise that is as large as the inverse of the range's upper limit
+    return (per_m.max(axis=1) > -1.0 / farthest_m) & (per_m.min(axis=1) < 1.0 / nearest_m)
 
 
 def _ends_undistorted_px(segments: Float64[Array, "segment column=12"]) -> Float64[Array, "segment end=2 xy=2"]:
@@ -645,9 +637,6 @@ def _ends_undistorted_px(segments: Float64[Array, "segment column=12"]) -> Float
     ends_px: Float64[Array, "segment end=2 xy=2"] = np.stack([x_px, y_px], axis=-1)
     return ends_px
 
-
-BAND_PX = 24
-"""Margin of a search window above and below a predicted stripe: a motion of 15 mm at 1 m between two frames."""
 
 BEYOND_ENDS_PX = 60
 """Margin of a search window beyond the ends of a predicted stripe: motion, and the columns beyond the ends."""

@@ -71,8 +71,12 @@ IN_FRONT_M = (0.005, 0.3)
 PARALLEL_WITHIN = 0.05
 """Maximum slope of a stripe on it to that plane; the normal of two short stripes is known to a few degrees."""
 
-MIN_LENGTH_RATIO, MIN_COLUMNS_IN_FRONT = 0.5, 30
-"""Minimum length of that stripe, as a share of those on the ring, and in columns; shorter ones may be reflections."""
+MIN_LENGTH_RATIO = 0.5
+"""Minimum length of that stripe, as a share of those on the ring."""
+
+LONG_COLUMNS = 30
+"""Minimum length of segments that are examined for another explanation; shorter ones may be reflections, or on facets
+of foil."""
 
 MAX_TILT_OF_FACES = 0.1
 """Maximum angle in rad between two parallel faces of three stripes each: the planes of short stripes err."""
@@ -452,7 +456,7 @@ def _others(
 ) -> Float64[Array, "other column=12"]:
     """The other segments that are not truncated by the image, and longer than most reflections."""
     used = (segments[:, None] == selected).all(axis=2).any(axis=1)
-    return segments[~used & (segments[:, CLIPPED] == 0) & (segments[:, CENTERS] >= MIN_COLUMNS_IN_FRONT)]
+    return segments[~used & (segments[:, CLIPPED] == 0) & (segments[:, CENTERS] >= LONG_COLUMNS)]
 
 
 def _of_laser(

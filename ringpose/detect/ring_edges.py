@@ -13,10 +13,11 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from ringpose.detect.difference_images import BAND_PX, VISIBLE_SHARE
 from ringpose.detect.edge_search import (
     ALONG_PX,
+    CLOSE_REACH_PX,
     MOSTLY_VISIBLE,
-    ONE_STRIPE,
     PREDICTED_SIGMA_PX,
     EdgeImage,
     EdgeTrace,
@@ -32,10 +33,10 @@ from ringpose.detect.edge_search import (
 )
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.detect.rim import parallel_in_front
-from ringpose.estimate.explanation import decision
+from ringpose.estimate.explanation import SIDE_SIGMAS, STRAIGHT_SIGMAS, decision
 from ringpose.estimate.factors import Prior
 from ringpose.estimate.measurements import edges_of, measurements_of
-from ringpose.estimate.solver import STRIPES_OF_A_PLANE
+from ringpose.estimate.solver import OUTLIER_SIGMAS, STRIPES_OF_A_PLANE
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
 from ringpose.geometry.rays import intersect, undistorted_rays
@@ -57,14 +58,8 @@ from ringpose.types.image import Shot
 from ringpose.types.plausible import RING_RADIUS_M
 from ringpose.types.rig import Rig
 
-REACH_PX = 2
-"""Half width of the search across the predicted edge, after the tracking."""
-
 MIN_OF_BOTH = 8
-"""Minimum number of points on either edge in that case."""
-
-SIDE_SIGMAS = 4.0
-"""Minimum significance of the edges' curvature from which the side of the ring's centre is inferred."""
+"""Minimum number of points on either edge of a ring that nothing else confirms."""
 
 
 class FoundEdges(NamedTuple):
@@ -73,29 +68,27 @@ class FoundEdges(NamedTuple):
     points: RingEdgePoints
     side_sigmas: float
     """Curvature over its standard deviation; negative if inner and outer edge are exchanged."""
-    straight: bool = False
-    """Whether they are the edges of something straight."""
-    steps: int = 0
+    steps: int
     """Number of places along the edges that show a step ..."""
     mostly_visible: bool = True
     """... and whether these are most of the places where the edges are predicted."""
+    straight: bool = False
+    """Whether they are the edges of something straight."""
     arcs: RingArcs | None = None
     """The ring fitted to these steps and the stripes."""
 
 
-MIN_CURVATURE_PER_M, STRAIGHT_SIGMAS = 1 / RING_RADIUS_M.highest, 3.0
-"""Curvature of the largest ring that a file may state, and the standard deviations by which a measured one must be
-smaller for its edges to count as straight."""
-
-
 def straight(curvature: float, sd: float) -> bool:
-    """Whether edges of that curvature (1/m, standard deviation `sd`) are too straight for a ring, as those of a bar."""
-    return abs(curvature) + STRAIGHT_SIGMAS * sd < MIN_CURVATURE_PER_M
+    """Whether edges of that curvature (1/m, standard deviation `sd`) are too straight for a ring, as those of a bar.
+
+    That is straighter than those of the largest ring that a file may state.
+    """
+    return (abs(curvature) + STRAIGHT_SIGMAS * sd) * RING_RADIUS_M.highest < 1.0
 
 
 def curved(curvature: float, sd: float) -> bool:
     """Whether edges of that curvature (1/m, standard deviation `sd`) bend at least as much as the largest ring's."""
-    return abs(curvature) - STRAIGHT_SIGMAS * sd > MIN_CURVATURE_PER_M
+    return (abs(curvature) - STRAIGHT_SIGMAS * sd) * RING_RADIUS_M.highest > 1.0
 
 
 class RingEdges(NamedTuple):
@@ -148,33 +141,26 @@ def detect_ring_edges(
     return RingEdges(*named_by_curvature(break_points, edges))
 
 
-LIT_SHARE = 8 / 255
-"""Range of grey values about the break points, as a share of the saturation value, from which ambient light shows the
-ring's edges. In 64 rendered shots without visible edges it is at most 3 / 255, in 26 of 27 with edges 13 / 255."""
-
-AROUND_PX = 24
-"""Margin of the box about the break points in which the range of the grey values is taken."""
-
-
 def edges_lit(points: BreakPoints, shot: Shot) -> bool:
     """Whether the ring's edges should be visible: two break points of an edge, in ambient light.
 
     The light is that of the frames without lasers, as the range of the grey values (5 to 95 %, at half size against
-    noise) in the box of the break points, which black level and a uniform background do not affect.
+    noise) in the box of the break points, which black level and a uniform background do not affect. In 64 rendered
+    shots without visible edges it is at most 3 / 255 of the saturation value, in 26 of 27 with edges 13 / 255.
     """
     seen = points.seen
     if int(seen.sum(axis=0).max()) < 2:
         return False
     position = points.position_px[seen]
-    left, top = np.maximum(position.min(axis=0).astype(np.int64) - AROUND_PX, 0).tolist()
-    right, bottom = (position.max(axis=0).astype(np.int64) + AROUND_PX).tolist()
+    left, top = np.maximum(position.min(axis=0).astype(np.int64) - BAND_PX, 0).tolist()
+    right, bottom = (position.max(axis=0).astype(np.int64) + BAND_PX).tolist()
     for image in shot.images[shot.lasers == 0]:
         levels = cv2.pyrDown(image[top:bottom, left:right])
         values = np.iinfo(levels.dtype).max + 1
         counts = cv2.calcHist([levels], [0], None, [values], [0, values]).ravel()  # a tenth of the time of sorting
         tail = levels.size // 20
         low, high = np.searchsorted(counts.cumsum(dtype=np.float64), [tail, levels.size - 1 - tail], side="right")
-        if high - low > LIT_SHARE * shot.saturation_dn:
+        if high - low > VISIBLE_SHARE * shot.saturation_dn:
             return True
     return False
 
@@ -276,7 +262,7 @@ def found_edges(
     if stripes is None or tracked is None:
         return None
     trace = outside_stripes(frame, edge_trace(*tracked, rig.camera, ALONG_PX, PREDICTED_SIGMA_PX))
-    clear = clear_steps(frame, trace, REACH_PX, precise=True)
+    clear = clear_steps(frame, trace, CLOSE_REACH_PX, precise=True)
     refined = stripes.fitted(tracked.arcs, edge_observations(clear, rig))
     if refined is None:
         return None
@@ -291,12 +277,14 @@ def found_edges(
             return None
         points = replace(points, sigma_px=wider * points.sigma_px)
     curvature, curvature_sd = refined.arcs.curvature, wider * math.sqrt(refined.covariance[CURVATURE, CURVATURE])
-    if len(stripes.measured.lines.laser) == ONE_STRIPE:
+    if len(stripes.measured.lines.laser) == 1:
+        # Its two ends are no evidence for a ring: the edges must be curved. The tilt about the stripe follows from the
+        # course of both edges; one alone determines it by curvatures of tenths of a pixel, as large as those by foil.
         both = np.bincount(points.edge, minlength=2).min() >= MIN_OF_BOTH
         if not both or not (curved(curvature, curvature_sd) or straight(curvature, curvature_sd)):
             return None
     return FoundEdges(
-        points, curvature / curvature_sd, straight(curvature, curvature_sd), steps, mostly_visible, refined.arcs
+        points, curvature / curvature_sd, steps, mostly_visible, straight(curvature, curvature_sd), refined.arcs
     )
 
 
@@ -400,9 +388,6 @@ STRETCH = 15
 SHARED = 6
 """Weight, in steps, of the whole edge's scatter in that estimate: a few steps may agree by chance."""
 
-OUTLIER_SIGMAS = 3.5
-"""A point farther from the ring is rejected; in the scatter its distance is clipped to this."""
-
 DISPLACED_PX = 0.4
 """A stretch whose mean is this far off the ring is another edge: the rim of a wall, a chamfer, a shadow."""
 
@@ -463,6 +448,7 @@ def _displaced(points: _Points) -> Bool[Array, "n"]:
 
 
 def _inliers(points: _Points) -> _Points:
+    """The points that are not outliers; in the scatter, their distance is clipped to the same number of sigmas."""
     return points.selected(np.abs(points.residual_px) < np.minimum(OUTLIER_SIGMAS * points.sigma_px, MAX_DISTANCE_PX))
 
 

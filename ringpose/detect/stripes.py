@@ -48,15 +48,13 @@ BLOCK = 16
 CELL = 4
 """Rows of a cell of the coarse search; a cell is one block wide."""
 
-WINDOW_PIXELS = 2 * CELL * BLOCK
-
 FILTER_SIGMA_PX = 2.5
 """Smoothing along the column for detection. Stripes up to twice as wide are found, and flat-topped, saturated ones up
 to 40 px; neighbouring stripes are resolved from a distance of about 2.5 of these sigmas. For the measurement, the
 filter is selected for each piece."""
 
 MIN_COLUMNS = 8
-"""Minimum length of a piece: noise may link over a few columns by chance."""
+"""Minimum length of a piece, or of the overlap of two edges: noise may link over a few columns by chance."""
 
 MAX_GAP = 2
 """Largest number of missing columns inside a piece."""
@@ -78,7 +76,7 @@ def find_stripes(
     min_peak_dn = MIN_PEAK * full_dn
     params = StripeParams(
         min_response=min_peak_dn * STRIPE_SIGMA_PX / (FILTER_SIGMA_PX**2 + STRIPE_SIGMA_PX**2) ** 1.5,
-        coarse_per_response=COARSE_SHARE * FILTER_SIGMA_PX**3 * WINDOW_PIXELS,
+        coarse_per_response=COARSE_SHARE * FILTER_SIGMA_PX**3 * 2 * CELL * BLOCK,
         full_dn=full_dn,
     )
     centers = stripe_centers(image, dark, bands, stripe_filters(FILTER_SIGMA_PX), params)

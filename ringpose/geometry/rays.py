@@ -18,6 +18,9 @@ pixels, is never reached: each point would take all iterations, five times as lo
 GRAZING = 1e-9
 """Cosine between a ray and a plane's normal below which the ray is treated as parallel to the plane."""
 
+POINTS_OF_A_PLANE = 3
+"""Points that determine a plane."""
+
 
 def undistort(points_px: Float64[Array, "*shape xy=2"], camera: Camera) -> Float64[Array, "*shape xy=2"]:
     """Normalised image coordinates x/z, y/z of distorted pixels; NaN is propagated."""

@@ -255,7 +255,7 @@ def test_a_curvature_without_a_standard_deviation_names_no_edge(rig, rng):
         position_px=np.zeros((1, 2)), normal=np.array([[1.0, 0.0]]), sigma_px=np.ones(1), edge=np.zeros(1, np.int64)
     )
 
-    assert named_by_curvature(ends, [FoundEdges(point, np.nan)])[0] is ends
+    assert named_by_curvature(ends, [FoundEdges(point, np.nan, 1)])[0] is ends
 
 
 def test_names_that_are_known_stay(rig, rng):
