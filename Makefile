@@ -42,6 +42,7 @@ help:
 	@echo "make baseline     make today's poses of the rendered data sets the baseline"
 	@echo "make golden       show which lines of the rendered shots have changed, and make today's the golden ones"
 	@echo "make results      the tables and charts of the page on results: studies and shared renders, about an hour"
+	@echo "make ablation     each named number of detection and estimation halved and doubled, and what that changes; hours, resumable"
 	@echo "make mutants      small changes to the package of which each must fail a test, some hours; status 3 if one survives"
 	@echo "make man-tables   write the manual's tables of flags from the code"
 	@echo "make test         the fast tests (make test-slow: the Monte-Carlo and whole-data-set ones)"
@@ -90,6 +91,9 @@ baseline: $(STAMP)
 
 man-tables: $(STAMP)
 	$(BIN)/python tests/manual_tables.py
+
+ablation: $(STAMP)
+	$(BIN)/python tests/benchmarks/ablation.py
 
 mutants: $(STAMP)
 	$(BIN)/python tests/benchmarks/mutants.py
