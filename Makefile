@@ -30,7 +30,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 test test-slow test-baseline-cpu test-other-cpu: export MALLOC_MMAP_THRESHOLD_ = 33554432
 test test-slow test-baseline-cpu test-other-cpu: export MALLOC_TRIM_THRESHOLD_ = 536870912
 
-.PHONY: help demo bench-live bench-speed bench-targets compare-baseline baseline golden mutants man-tables results structure test test-slow test-lowest \
+.PHONY: help demo ablation bench-live bench-speed bench-targets compare-baseline baseline golden mutants man-tables results structure test test-slow test-lowest \
   test-baseline-cpu test-other-cpu wheel check lint types layers man clean
 
 help:

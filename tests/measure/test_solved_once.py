@@ -53,7 +53,6 @@ def test_a_clear_shot_is_solved_once_and_its_pose_takes_two_iterations_from_ther
 
 
 def test_without_the_judged_ring_the_pose_is_the_same_but_solved_again(solved):
-
     rig = read_rig(RIG_B / "rig.yaml")
     detection = detect(read_shot(RIG_B / "shots" / "B_z0500_p01_normal.npz"), rig)
     judged = pose_line(detection, rig, options=USUAL)
