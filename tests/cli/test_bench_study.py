@@ -1,6 +1,8 @@
 """`ringpose bench study`: results, resumption, and what is rejected."""
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 from filelock import SoftFileLock
@@ -8,6 +10,8 @@ from needed import needed_module
 
 from ringpose.cli.main import main
 from ringpose.files.studies.specification import preset_names, read_study, study_path
+
+MANUAL = Path(__file__).parents[2] / "man" / "ringpose-bench.1"
 
 
 @pytest.fixture
@@ -246,6 +250,14 @@ def test_the_presets_are_valid(name):
 
     assert read.shots >= 150
     assert read_study(study_path(name), count=2).sha256 != read.sha256
+
+
+def test_help_and_manual_name_every_preset(capsys):
+    assert main(["bench", "study", "--help"]) == 0
+    printed = set(re.findall(r"[\w-]+", capsys.readouterr().out))
+    manual = set(re.findall(r"[\w-]+", MANUAL.read_text()))
+
+    assert set(preset_names()) <= printed & manual
 
 
 @pytest.mark.slow

@@ -29,7 +29,8 @@ def study(
         typer.Argument(
             metavar="STUDY",
             help="A study.yaml, or a preset: "
-            "paper-synthetic, paper-lights, calibrated, tumbling, capture, violations, outliers.",
+            "paper-synthetic, paper-lights, calibrated, tumbling, capture, violations, outliers, integrity, dirt, "
+            "sizes, sizes-rendered.",
         ),
     ],
     output: Annotated[
