@@ -17,8 +17,9 @@ from ringpose.detect.difference_images import LaserImage, beside_left_out
 from ringpose.detect.rim import IN_FRONT_M, Face
 from ringpose.detect.ring_edges import straight
 from ringpose.detect.stripes import lens
-from ringpose.estimate.explanation import Explanation, decision
-from ringpose.estimate.factors import Prior
+from ringpose.estimate.explanation import decision
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.hypotheses import Explanation
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import (

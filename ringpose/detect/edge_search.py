@@ -17,9 +17,10 @@ import cv2
 import numpy as np
 
 from ringpose.detect.stripes import lens
-from ringpose.estimate.factors import Prior
-from ringpose.estimate.measurements import Edges, Measurements, measurements_of, no_edges
-from ringpose.estimate.solver import DECISION_SIGMAS, estimate_ring, refine_ring
+from ringpose.estimate.factors.edges import Edges, no_edges
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.measurements import Measurements, measurements_of
+from ringpose.estimate.ring_estimate import DECISION_SIGMAS, estimate_ring, refine_ring
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, STEP, TINY, TURN, RingArcs, edge_distances, edge_points
 from ringpose.kernels import _kernels, column_names, column_slices, kernel_record

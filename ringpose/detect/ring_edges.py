@@ -33,10 +33,13 @@ from ringpose.detect.edge_search import (
 )
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.detect.rim import parallel_in_front
-from ringpose.estimate.explanation import SIDE_SIGMAS, STRAIGHT_SIGMAS, decision
-from ringpose.estimate.factors import Prior
-from ringpose.estimate.measurements import edges_of, measurements_of
-from ringpose.estimate.solver import OUTLIER_SIGMAS, STRIPES_OF_A_PLANE
+from ringpose.estimate.explanation import SIDE_SIGMAS, decision
+from ringpose.estimate.factors.edges import edges_of
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.ring_estimate import STRIPES_OF_A_PLANE
+from ringpose.estimate.selection import STRAIGHT_SIGMAS
+from ringpose.estimate.solver import OUTLIER_SIGMAS
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
 from ringpose.geometry.rays import intersect, undistorted_rays

@@ -9,10 +9,11 @@ import numpy as np
 
 from ringpose.estimate import covariance as joint
 from ringpose.estimate.covariance import Quantities
-from ringpose.estimate.factors import PARAMETERS, RIDGE
+from ringpose.estimate.linearization import PARAMETERS
 from ringpose.estimate.nuisance import EXACT, FORM_PARAMETERS, covariance_root, rig_errors, total_covariance
+from ringpose.estimate.ring_estimate import Estimate
 from ringpose.estimate.separation import directions_of
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.solver import RIDGE
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import ParameterCovariance
 

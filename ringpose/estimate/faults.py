@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.factors import Prior, rig_jacobian
+from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.hypotheses import MIN_DEVIATION_M, WIDER_BY
 from ringpose.estimate.linearization import FixedColumns, Residuals
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import FORM_SHARE, rig_errors
+from ringpose.estimate.nuisance import FORM_SHARE, rig_errors, rig_jacobian
 from ringpose.geometry.ring import LIFT, TILT_ALONG, TILT_INWARD
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY

@@ -1,21 +1,20 @@
-"""What may be wrong in a shot: hypotheses beside that of all measurements on one ring, and the evidence of one stripe.
+"""What may be wrong in a shot: hypotheses beside that of all measurements on one ring.
 
 One break point, a stripe, the visible edges, the assignment of the lasers, or the assumed radii are wrong; or the
-target moves faster, or the ring is less perfect, than assumed. `ringpose.estimate.explanation` decides between them.
+target moves faster, or the ring is less perfect, than assumed. `ringpose.estimate.selection` decides between them.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.factors import PARAMETERS, Prior, common_errors, ring_residuals
+from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.solver import DECISION_SIGMAS, STRIPES_OF_A_PLANE, Estimate, estimate_ring, nuisance_columns
-from ringpose.types.arrays import Array, Float64
-from ringpose.types.assumptions import Assumptions, MotionPrior, motion_prior
+from ringpose.estimate.ring_estimate import Estimate, edge_mean_square
+from ringpose.types.assumptions import MotionPrior, motion_prior
 from ringpose.types.detection import Rejection
 from ringpose.types.finding import NOTHING, Finding
 
@@ -43,12 +42,8 @@ WIDER_BY = 4.0
 MIN_DEVIATION_M = 0.001
 """Smallest standard deviation of a ring's edges and face in an explanation by the ring's form."""
 
-BACKGROUND_RANGE_PX = (150.0, 30.0, 100.0, 100.0)
-"""Where a stripe on the background may be seen: range of its line's position, of the change along it, of its ends."""
-
-LINEAR_SIGMAS = 100.0
-"""Standard deviation of a predicted number, in those of the measured one, from which its error is not linear and does
-not count: with more, the prediction of right stripes by visible edges is often missed."""
+EDGE_NUMBERS = 8.0
+"""Independent numbers that the visible edges count as when explanations are compared: one per correlation length."""
 
 
 class Hypothesis(NamedTuple):
@@ -70,6 +65,48 @@ class Hypothesis(NamedTuple):
     def rejects_both_ends(self, laser: int) -> bool:
         """Whether both break points of that laser's stripe are rejected."""
         return Finding.WRONG_ENDS in self.findings and self.laser == laser
+
+
+class Solved(NamedTuple):
+    """A hypothesis with the ring estimated under it."""
+
+    hypothesis: Hypothesis
+    estimate: Estimate
+
+    @property
+    def score(self) -> float:
+        """Penalised chi-squared, visible edges included by their mean: less is better."""
+        total = self.estimate.chi2 + self.hypothesis.penalty
+        return total + EDGE_NUMBERS * max(edge_mean_square(self.estimate) - 1.0, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Explanation:
+    """The best explanation of a shot."""
+
+    measured: Measurements
+    """The measurements that it uses."""
+    prior: Prior
+    estimate: Estimate
+    findings: Finding
+    penalty: float
+    """Penalty in chi-squared for what was rejected."""
+    rejected: tuple[Rejection, ...]
+    side_known: bool
+    """Whether the shot determines on which side of the face the ring's centre lies."""
+    exchanged: tuple[str, str] | None = None
+    """Names of the lasers as which the stripes fit, and as which they were given; None if these are the same."""
+    edges_exchanged: bool = False
+    """Whether the inner edges are those that were given as outer ones."""
+    competing: tuple[Estimate, ...] = ()
+    """The rings of other explanations that are comparable ..."""
+    other_side: Estimate | None = None
+    """... and the one with inner and outer edges exchanged, if the shot does not determine which are the inner ones."""
+    everything: tuple[Measurements, Estimate] | None = None
+    """All measurements with the ring that fits them best; None if the iteration diverges."""
+
+    differing: frozenset[str] = frozenset()
+    """Quantities in which these rings differ: `center`, `normal`, `grasp`, `radius`, `velocity`; set for a pose."""
 
 
 def outlier_hypotheses(measured: Measurements, prior: Prior, labelled: bool) -> Iterator[Hypothesis]:
@@ -183,107 +220,3 @@ def _assignments(seen: list[int], lasers: int) -> Iterator[Sequence[int]]:
         order[place] = other
         if other not in seen or seen.index(other) > place:
             yield order
-
-
-# Whether one stripe is on the background
-
-
-def single_stripe_estimates(
-    measured: Measurements, assumptions: Assumptions
-) -> Iterator[tuple[int, Measurements, Estimate]]:
-    """For each of two stripes: its laser, and the measurements and the ring without it.
-
-    Nothing is returned for other numbers of stripes. Assumed radii are not used: with them the length of one stripe
-    determines the angle at which it crosses the face, but not to which side (`explanation._evidence_with_radii`).
-    """
-    for laser in measured.stripes if len(measured.stripes) == STRIPES_OF_A_PLANE else []:
-        alone = measured.without_laser(laser)
-        if not len(alone.points.x):
-            continue
-        estimate = estimate_ring(alone, Prior(assumptions=assumptions), tolerance_sigmas=DECISION_SIGMAS)
-        if estimate is not None:
-            yield laser, alone, estimate
-
-
-def ring_evidence(estimate: Estimate, measured: Measurements, laser: int) -> float:
-    """Log likelihood ratio of a laser's stripe on the ring that another stripe predicts, against one anywhere.
-
-    ln N(r; 0, C) - ln(1 / range): r are the stripe's whitened residuals at the prediction, C is their covariance.
-    """
-    line = np.flatnonzero(np.repeat(measured.lines.laser == laser, 2))
-    points = np.flatnonzero(measured.points.laser == laser)
-    rows = np.concatenate([line, 2 * len(measured.lines.laser) + points])
-    residual, covariance = _predicted_residuals(estimate, measured)
-    residual, covariance = residual[rows], covariance[np.ix_(rows, rows)]
-    log_ring = -0.5 * (
-        residual @ np.linalg.solve(covariance, residual) + np.linalg.slogdet(2.0 * np.pi * covariance)[1]
-    )
-    # the same range in standard deviations
-    focal = measured.rig.camera.camera_matrix[[0, 1], [0, 1]]
-    whitening = measured.lines.whitening[measured.lines.laser == laser][0]
-    sigma_px = measured.points.sigma_x[points] * focal[0]
-    log_range = np.log(BACKGROUND_RANGE_PX[: len(rows)]).sum()
-    log_range += np.linalg.slogdet(whitening)[1] - 2.0 * np.log(focal[1]) - np.log(sigma_px).sum()
-    return float(log_ring + log_range)
-
-
-def _predicted_residuals(
-    estimate: Estimate, measured: Measurements
-) -> tuple[Float64[Array, "row"], Float64[Array, "row row"]]:
-    """Residuals of stripes and break points at a ring that was estimated without some of them, and their covariance.
-
-    1 + [J B] C [J B]^T, with the joint covariance C of ring and common errors.
-    """
-    residuals = ring_residuals(estimate.arcs, measured.observations, estimate.prior, estimate.rates)
-    fixed = common_errors(residuals, estimate.prior)
-    jacobian = np.concatenate([residuals.jacobian, nuisance_columns(residuals, fixed)], axis=1)
-    step = np.concatenate([np.zeros(PARAMETERS), estimate.nuisance_step])
-    covariance = np.linalg.inv(estimate.joint_information)
-    rows = slice(residuals.data_rows)
-    return (residuals.residual + jacobian @ step)[rows], (
-        np.eye(residuals.data_rows) + jacobian[rows] @ covariance @ jacobian[rows].T
-    )
-
-
-def edge_evidence(estimate: Estimate, measured: Measurements) -> float:
-    """Log likelihood ratio of a single stripe on the ring that the visible edges predict, against one anywhere.
-
-    The stripe's whitened residuals r at the common ring have the covariance 1 - H, with its block H of the hat matrix:
-    the edges alone predict the stripe with the precision W^T (1 - H) W, W its whitening, and the prediction is missed
-    by r^T (1 - H)^-1 r in squared standard deviations. What the edges leave open, such as the scale, is as likely as
-    anywhere: ln N(0; 0, range^2 / 2 pi) = -ln(range). The edges count as those of the face, not as the feet of walls,
-    whose depth would leave the prediction open.
-    """
-    measured = measured.of_one_arc()
-    if len(measured.points.x) + 2 * len(measured.lines.laser) > measured.stripe_numbers:
-        measured = measured.once()  # it must not predict itself
-    measured = replace(measured, edges=replace(measured.edges, walls=False))
-    again = estimate_ring(measured, estimate.prior, estimate, tolerance_sigmas=DECISION_SIGMAS)
-    if again is None:
-        return -np.inf
-    estimate = again
-    residuals, points = estimate.residuals, measured.points
-    focal = measured.rig.camera.camera_matrix[[0, 1], [0, 1]]
-    observations = residuals.observations
-    count, ends = int(np.count_nonzero(~observations.many)), observations.view.ends
-    rows = np.concatenate([residuals.jacobian, estimate.nuisance], axis=1) * np.sqrt(estimate.weights)[:, None]
-    prior = np.eye(rows.shape[1])[PARAMETERS:]
-    basis = np.linalg.qr(np.concatenate([rows, prior]))[0][:count]  # the normal equations of one stripe are singular
-    free = np.eye(count) - basis @ basis.T
-    remaining = estimate.remaining[:count]
-    missed = remaining @ np.linalg.solve(free + np.eye(count) / LINEAR_SIGMAS**2, remaining)
-
-    # in pixels: ordinates of the line's two ends, abscissae of the break points, ordinates of those without a line
-    of_points = [1.0 / points.sigma_x / focal[0], observations.points.ordinate_weights(residuals.at)[1] / focal[1]]
-    whitening = np.diag(np.concatenate([np.ones(ends), *of_points]))
-    whitening[:ends, :ends] = observations.whitening / focal[1]
-    position_px, change_px, end_px, _ = BACKGROUND_RANGE_PX
-    range_px = np.full(count, position_px)
-    range_px[ends : ends + len(points.x)] = end_px
-    to_range = np.eye(count)
-    if ends:
-        range_px[1], to_range[:2, :2] = change_px, [[0.5, 0.5], [-1.0, 1.0]]  # position and change of the line
-    anywhere = to_range.T @ np.diag(2.0 * np.pi / range_px**2) @ to_range
-    predicted = whitening.T @ free @ whitening + anywhere
-    log_ring = 0.5 * (np.linalg.slogdet(predicted / (2.0 * np.pi))[1] - missed)
-    return float(log_ring + np.log(range_px).sum())

@@ -1,17 +1,37 @@
-"""Records of the linearised problem: the factors of a shot, their residuals at a ring, and derivatives of these.
+"""The problem linearised at a ring: the factors of a shot, their residuals at a ring, and derivatives of these.
 
-The factors are defined in `ringpose.estimate.factors`, the ring in `ringpose.geometry.ring`.
+A factor is one kind of measurement; each has a module in `ringpose.estimate.factors`. It gives the residuals of its
+kind in units of their standard deviations, and their derivatives by what they are made of: the ordinate, Eq. (5.1) of
+ringpose-method(7), of a predicted stripe, the distance (5.2) from an edge, and the measured ray. The chain rule leads
+from there to the ring and its rates (section 8), and to errors of the rig and of the ring's form, for all kinds alike
+(`ringpose.estimate.nuisance`). `ring_residuals` joins the rows; the solver knows no kind.
 """
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from math import isfinite
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
+import numpy as np
+
+from ringpose.estimate.factors.prior import Prior
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.ring import Rates, RingArcs, RingPrediction, RingSamples
+from ringpose.geometry.ring import (
+    STEP,
+    TILT_ALONG,
+    TILT_INWARD,
+    TURN,
+    Rates,
+    RingArcs,
+    RingPrediction,
+    RingSamples,
+    predicted_view,
+)
 from ringpose.types.arrays import Array, Bool, Float64, Int64
+from ringpose.types.plausible import RING_RADIUS_M
 from ringpose.types.rig import Rig
 
 if TYPE_CHECKING:
-    from ringpose.estimate.factors import Factor, PointFactor
+    from ringpose.estimate.factors.points import PointFactor
 
 
 class Derivatives(NamedTuple):
@@ -21,6 +41,65 @@ class Derivatives(NamedTuple):
     """By the ordinate of the predicted stripe at the row's ray."""
     distance: Float64[Array, "#row 1"] | None = None
     """By the distance of the row's ray from the row's edge."""
+
+
+Index = slice | Int64[Array, "row"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Factor:
+    """One kind of measurement."""
+
+    robust: ClassVar[bool] = False
+    """Whether single rows may be outliers: they count linearly while the iteration approaches."""
+    many: ClassVar[bool] = False
+    """Whether they are too many, and too correlated, for chi-squared: single ones are rejected as outliers instead."""
+
+    stamp_s: Float64[Array, "row"]
+    """Mid exposure of the frame that each row comes from; NaN if unknown."""
+    opposite: Bool[Array, "row"]
+    """Whether each row is of the opposite arc."""
+    ray: Index
+    """Index of each row's ray among the samples of stripes, then the visible edge points (`RingSamples`) ..."""
+    beside: Index | None = None
+    """... and of its distance from an edge, among those of break points, then of visible edge points."""
+    edge: Int64[Array, "row"] | None = None
+    """0 for a row of the inner edge, 1 for one of the outer edge; None for rows of the middle of the face."""
+    whitening: Float64[Array, "row row"] | None = None
+    """W with W^T W the inverse covariance of the rows; None if each is divided by its own standard deviation."""
+
+    def residuals(self, at: RingPrediction) -> tuple[Float64[Array, "row"], Derivatives]:
+        """The residuals at a ring, before the whitening, and their derivatives."""
+        raise NotImplementedError
+
+    def linearized(self, at: RingPrediction) -> tuple[Float64[Array, "row column"], Derivatives | None]:
+        """[r J] before the whitening: by the columns of the prediction, ring, rates and camera's motion, Eq. (8.2).
+
+        Also the derivatives that lead there; None for a kind that is not seen in the image.
+        """
+        residual, by = self.residuals(at)
+        rows = np.empty((len(residual), 1 + at.stripes.y_wrt_step.shape[1]))
+        rows[:, 0], rows[:, 1:] = residual, 0.0
+        if by.ordinate is not None:
+            rows[:, 1:] = by.ordinate * at.stripes.y_wrt_step[self.ray]
+        if by.distance is not None:
+            rows[:, 1:] += by.distance * at.edges.wrt_step[self.beside]
+        return rows, by
+
+    def wrt_ray(self, at: RingPrediction) -> Float64[Array, "row xy=2"]:
+        """Derivatives of the residuals by the measured rays, before the whitening."""
+        raise NotImplementedError
+
+    def whitened(self, rows: Float64[Array, "row *column"]) -> Float64[Array, "row *column"]:
+        """The rows in units of their standard deviations."""
+        return rows if self.whitening is None else self.whitening @ rows
+
+    def own_errors(self, jacobian: Float64[Array, "row step=7"], tolerance_m: float) -> Float64[Array, "row error"]:
+        """Derivatives by errors that only these rows have in common, in sigmas; `tolerance_m`: of the ring.
+
+        `jacobian`: the derivatives of the whitened rows by the ring's step.
+        """
+        return np.zeros((len(jacobian), 0))
 
 
 class Observations(NamedTuple):
@@ -102,3 +181,88 @@ class LinearProblem(NamedTuple):
     """None if the ring is not near the solution."""
     remaining: Float64[Array, "row"]
     """What is left of the residuals by common errors that are known."""
+
+
+PARAMETERS = len(STEP)
+
+STILL = Rates(np.zeros(3), np.zeros(3))
+
+MIN_SIGMA_PX = 1e-4
+"""Lower bound of all standard deviations: smaller ones would make the normal equations ill-conditioned."""
+
+MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
+"""Bounds of the plane's distance; beyond them the iteration has diverged."""
+
+MAX_CURVATURE = 1 / RING_RADIUS_M.lowest
+"""Bound in 1/m, of the smallest ring that a file may state; beyond it the iteration has diverged."""
+
+MAX_TILT_RAD = 0.7
+"""Largest tilt in one iteration."""
+
+
+def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rates: Rates = STILL) -> Residuals:
+    """The residuals of a ring at the reference time: of the factors in their order, then of the prior.
+
+    With a prior of the motion, every residual is evaluated for the ring at the time of its own frame.
+    """
+    motion = prior.assumptions.motion if observations.moving else None
+    sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
+    rates, count = (rates, len(sds)) if len(sds) else (STILL, 0)
+    at = predicted_view(arcs, observations.view, rates if count else None)
+    rows = np.concatenate(
+        [*[factor.whitened(factor.linearized(at)[0]) for factor, _ in observations.blocks], prior.rows(at)]
+    )
+    return Residuals(
+        arcs=arcs,
+        rates=rates,
+        rate_sds=sds,
+        rate_deviations=np.divide(rates_along(arcs, rates), sds, out=np.zeros(5), where=sds > 0) if count else sds,
+        at=at,
+        residual=rows[:, 0],
+        jacobian=rows[:, 1 : 1 + PARAMETERS],
+        wrt_rates=rows[:, 1 + PARAMETERS : 1 + PARAMETERS + count],
+        wrt_camera=rows[:, 1 + PARAMETERS + count :],
+        observations=observations,
+        data_rows=len(observations.robust),
+    )
+
+
+def with_sigmas_raised(residuals: Residuals, factor: Float64[Array, "row"], observations: Observations) -> Residuals:
+    """The residuals of observations whose standard deviations are higher by a factor, which is 1 for the prior."""
+    scale = 1.0 / factor[:, None]
+    return residuals._replace(
+        residual=residuals.residual / factor,
+        jacobian=scale * residuals.jacobian,
+        wrt_rates=scale * residuals.wrt_rates,
+        wrt_camera=scale * residuals.wrt_camera,
+        observations=observations,
+    )
+
+
+def rates_along(arcs: RingArcs, rates: Rates) -> Float64[Array, "rate=5"]:
+    """The velocity, and the angular velocities about the inward axis and about the axis along the face."""
+    return np.concatenate([rates.velocity_m_s, arcs.axes[:2] @ rates.rate_rad_s])
+
+
+def retract_ring(residuals: Residuals, step: Float64[Array, "step=7"], rate_step: Float64[Array, "rate"]) -> Residuals:
+    """The ring and its rates after one step, with the residuals that it predicts.
+
+    `rate_step` is in standard deviations of the rates' prior. A step longer than `MAX_TILT_RAD` is shortened as a
+    whole. LinAlgError if the ring is then not in front of the camera, or has an impossible size. The angular velocity
+    stays across the normal.
+    """
+    arcs, rates = residuals.arcs, residuals.rates
+    largest = max(map(abs, step[[TILT_INWARD, TILT_ALONG, TURN]].tolist()))
+    step = step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step
+    moved = arcs.retract(step)
+    depth_m = -float(arcs.axes[2] @ moved.origin)
+    possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) < MAX_CURVATURE
+    if not (possible and all(map(isfinite, step.tolist()))):
+        raise np.linalg.LinAlgError("the iteration diverges")
+    if len(rate_step):
+        along = rates_along(arcs, rates) + rate_step * residuals.rate_sds
+        rates = Rates(along[:3], along[3:] @ moved.axes[:2])
+    predicted = residuals.residual + residuals.jacobian @ step + residuals.wrt_rates @ (rate_step * residuals.rate_sds)
+    return residuals._replace(
+        arcs=moved, rates=rates, rate_deviations=residuals.rate_deviations + rate_step, residual=predicted
+    )

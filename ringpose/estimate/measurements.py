@@ -8,170 +8,22 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
-from math import sqrt
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
-from ringpose.estimate.factors import EdgeFactor, Factor, Index, LineFactor, PointFactor
-from ringpose.estimate.linearization import Observations
-from ringpose.estimate.nuisance import (
-    ERRORS,
-    MAX_SHARE_OF_LENGTH,
-    common_errors_px,
-    integrated_autocorrelation_time,
-)
+from ringpose.estimate.factors.edges import Edges, edges_of, no_edges
+from ringpose.estimate.factors.lines import Lines, lines_of
+from ringpose.estimate.factors.points import Points, points_of
+from ringpose.estimate.linearization import Factor, Observations
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort, undistorted_rays
 from ringpose.geometry.ring import RingSamples
-from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.detection import BreakPointFlag, BreakPoints, RingEdgePoints
+from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.types.detection import BreakPoints, RingEdgePoints
 from ringpose.types.pose import NoPose
-from ringpose.types.rig import Camera, Rig
+from ringpose.types.rig import Rig
 
-NOMINAL_SIGMA_PX = 0.3
-"""Sigma of a break point without a covariance; it only weights points against each other and is not reported."""
-
-MIN_SIGMA_PX = 1e-4
-"""Lower bound of all standard deviations: smaller ones would make the normal equations ill-conditioned."""
-
-Parts = TypeVar("Parts", "Lines", "Points")
-
-
-class Lines(NamedTuple):
-    """Lines of the stripes on the ring's face, given by the ordinates at their two ends."""
-
-    laser: Int64[Array, "line"]
-    x: Float64[Array, "line end=2"]
-    y: Float64[Array, "line end=2"]
-    whitening: Float64[Array, "line 2 end=2"]
-    """W with W^T W the inverse covariance of the two ordinates."""
-    wrt_camera: Float64[Array, "line end=2 xy=2 parameter"]
-    """Derivatives of x and y for fixed pixels by the camera's parameters, as in `CAMERA_PARAMETERS`."""
-    stamp_s: Float64[Array, "line"]
-    """Mid exposure of the stripe's frame; NaN if unknown."""
-    opposite: Bool[Array, "line"]
-    """Whether the piece lies on the opposite arc."""
-
-    @property
-    def pieces(self) -> Int64[Array, "line"]:
-        """A number for each piece of a stripe on an arc, the same where it was measured again."""
-        numbers: Int64[Array, "line"] = 2 * self.laser + self.opposite
-        return numbers
-
-    @property
-    def numbers(self) -> int:
-        """Number of measured values; the line of a piece that was measured twice counts once."""
-        return 2 * len(set(self.pieces.tolist()))
-
-    def factor(self) -> LineFactor:
-        """Their factor; the rays of their ends come first."""
-        whitening = np.zeros((2 * len(self.laser), 2 * len(self.laser)))
-        for number, block in enumerate(self.whitening):
-            whitening[2 * number : 2 * number + 2, 2 * number : 2 * number + 2] = block
-        return LineFactor(
-            stamp_s=np.repeat(self.stamp_s, 2),
-            opposite=np.repeat(self.opposite, 2),
-            ray=slice(0, len(whitening)),
-            whitening=whitening,
-            y=self.y.ravel(),
-        )
-
-
-class Points(NamedTuple):
-    """Break points."""
-
-    laser: Int64[Array, "point"]
-    edge: Int64[Array, "point"]
-    x: Float64[Array, "point"]
-    y: Float64[Array, "point"]
-    covariance: Float64[Array, "point xy=2 xy=2"]
-    sigma_x: Float64[Array, "point"]
-    middle_x: Float64[Array, "point"]
-    """Abscissa of the middle of the point's stripe."""
-    isolated: Bool[Array, "point"]
-    """Whether its stripe has no line, so that the ordinate of the point is used too."""
-    stamp_s: Float64[Array, "point"]
-    """Mid exposure of the stripe's frame; NaN if unknown."""
-    beside_occluder: Bool[Array, "point"]
-    """Whether the image shows a surface in front of the ring beside the point."""
-    wrt_camera: Float64[Array, "point xy=2 parameter"]
-    """Derivatives of x and y for fixed pixels by the camera's parameters, as in `CAMERA_PARAMETERS`."""
-    opposite: Bool[Array, "point"]
-    """Whether the point lies on the arc opposite to that at which the ring is described."""
-
-    @property
-    def ends(self) -> Int64[Array, "point"]:
-        """A number for each end of a stripe, the same where it was measured again."""
-        numbers: Int64[Array, "point"] = 4 * self.laser + 2 * self.opposite + self.edge
-        return numbers
-
-    @property
-    def numbers(self) -> int:
-        """Number of measured values; an end that was measured twice counts once."""
-        return len(set(self.ends.tolist())) + len(set(self.ends[self.isolated].tolist()))
-
-    @property
-    def described(self) -> Bool[Array, "point"]:
-        """Whether the point is on the arc at which the ring is described: the opposite one if nothing else is seen."""
-        return np.ones_like(self.opposite) if self.opposite.all() else ~self.opposite
-
-    def factor(self, ends: int) -> PointFactor:
-        """Their factor; their rays come after so many of ends of lines."""
-        isolated, count = np.flatnonzero(self.isolated), len(self.x)
-        row: Index = slice(0, count)
-        ray: Index = slice(ends, ends + count)
-        if len(isolated):
-            row = np.concatenate([np.arange(count), isolated])
-            ray = ends + row
-        return PointFactor(
-            stamp_s=self.stamp_s[row],
-            opposite=self.opposite[row],
-            ray=ray,
-            beside=row,
-            edge=self.edge[row],
-            sigma_x=self.sigma_x,
-            y=self.y,
-            covariance=self.covariance,
-            isolated=isolated,
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Edges:
-    """Visible points of the ring's edges."""
-
-    edge: Int64[Array, "visible"]
-    ray: Float64[Array, "visible xyz=3"]
-    step: Float64[Array, "visible xy=2"]
-    """Displacement by one standard deviation, along the edge's normal in the image."""
-    wrt_camera: Float64[Array, "visible xy=2 parameter"]
-    """Derivatives of x and y of the rays for fixed pixels by the camera's parameters, as in `CAMERA_PARAMETERS`."""
-    common: Float64[Array, "visible error"]
-    """Derivatives with respect to the common errors (unit variance), in the points' standard deviations."""
-    stamp_s: Float64[Array, "visible"]
-    """Mid exposure of the frame in which they were measured; NaN if unknown."""
-    walls: bool = True
-    """Whether the edges may be the feet of the ring's walls."""
-
-    def with_sigmas_raised(self, factor: Float64[Array, "visible"]) -> "Edges":
-        """The points with standard deviations that are higher by a factor."""
-        return replace(self, step=self.step * factor[:, None], common=self.common / factor[:, None])
-
-    def factor(self, ends: int, points: int) -> EdgeFactor:
-        """Their factor; their rays come after so many of ends of lines and of break points."""
-        visible = len(self.edge)
-        return EdgeFactor(
-            stamp_s=self.stamp_s,
-            opposite=np.zeros(visible, dtype=bool),
-            ray=slice(ends + points, ends + points + visible),
-            beside=slice(points, points + visible),
-            edge=self.edge,
-            step=self.step,
-            common=self.common,
-            walls=self.walls,
-        )
+Parts = TypeVar("Parts", Lines, Points)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -335,17 +187,17 @@ def measurements_of(
     camera: CameraMotion | None = None,
 ) -> Measurements:
     """The measurements of a detection; NaN where a point cannot be undistorted."""
-    lines = _lines(break_points, rig.camera)
-    points, has_covariances = _points(break_points, lines, rig.camera)
+    lines = lines_of(break_points, rig.camera)
+    points, has_covariances = points_of(break_points, lines, rig.camera)
     if break_points.repeated is not None:
-        lines_again = _lines(break_points.repeated, rig.camera)
-        points_again, have_covariances = _points(break_points.repeated, lines_again, rig.camera)
+        lines_again = lines_of(break_points.repeated, rig.camera)
+        points_again, have_covariances = points_of(break_points.repeated, lines_again, rig.camera)
         lines, points = _repeated_lines(lines, lines_again), _repeated_points(points, points_again)
         has_covariances = has_covariances and have_covariances
     if break_points.opposite is not None:
-        lines_beyond = _lines(break_points.opposite, rig.camera, opposite=True)
+        lines_beyond = lines_of(break_points.opposite, rig.camera, opposite=True)
         every_line = joined(lines, lines_beyond)
-        points_beyond, have_covariances = _points(break_points.opposite, every_line, rig.camera, opposite=True)
+        points_beyond, have_covariances = points_of(break_points.opposite, every_line, rig.camera, opposite=True)
         lines, points = every_line, joined(points, points_beyond)
         has_covariances = has_covariances and have_covariances
     stamps, edges = np.concatenate([lines.stamp_s, points.stamp_s]), edges_of(ring_edges, rig.camera)
@@ -361,60 +213,6 @@ def measurements_of(
         moving=math.isfinite(reference_s) and bool(np.nanmin(every) < np.nanmax(every)),
         camera=camera,
     )
-
-
-def _lines(break_points: BreakPoints, camera: Camera, *, opposite: bool = False) -> Lines:
-    """The lines of the stripes on the face that are known."""
-    stamp_s = _stamps(break_points)
-    line_px = np.stack([break_points.face_start_undistorted_px, break_points.face_end_undistorted_px], axis=1)
-    has_line = np.isfinite(line_px.sum(axis=(1, 2)) + break_points.face_sigma_px.sum(axis=1))
-    line_xy = undistorted_rays(line_px[has_line], camera)[..., :2]
-    _, wrt_camera = rays_wrt_pixel_and_camera(line_xy.reshape(-1, 2), camera)
-    sigma = np.maximum(break_points.face_sigma_px[has_line], MIN_SIGMA_PX) / camera.camera_matrix[1, 1]
-    whitening = np.zeros((len(line_xy), 2, 2))
-    for block, sds in zip(whitening, sigma.tolist(), strict=True):
-        block[0, 0], block[1, 0], block[1, 1] = line_whitening(*sds)
-    return Lines(
-        laser=np.flatnonzero(has_line),
-        x=line_xy[..., 0],
-        y=line_xy[..., 1],
-        whitening=whitening,
-        wrt_camera=wrt_camera.reshape(*line_xy.shape, wrt_camera.shape[-1]),
-        stamp_s=stamp_s[has_line],
-        opposite=np.full(len(line_xy), opposite),
-    )
-
-
-def _points(break_points: BreakPoints, lines: Lines, camera: Camera, *, opposite: bool = False) -> tuple[Points, bool]:
-    """The break points that were seen, and whether all of these have a covariance."""
-    laser, edge = np.nonzero(~np.isnan(break_points.position_px[..., 0]))
-    xy = undistort(break_points.position_px[laser, edge], camera)
-    wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(xy, camera)
-    covariance_px2 = break_points.covariance_px2[laser, edge]
-    has_covariance = np.isfinite(covariance_px2).all(axis=(1, 2))
-    covariance_px2[~has_covariance] = NOMINAL_SIGMA_PX**2 * np.eye(2)
-    covariance_px2 = covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)
-    covariance = wrt_pixel @ covariance_px2 @ wrt_pixel.swapaxes(1, 2)
-    points = Points(
-        laser=laser,
-        edge=edge,
-        x=xy[:, 0],
-        y=xy[:, 1],
-        covariance=covariance,
-        sigma_x=np.sqrt(covariance[:, 0, 0]),
-        middle_x=_middles(laser, xy[:, 0], lines),
-        isolated=~np.isin(laser, lines.laser),
-        stamp_s=_stamps(break_points)[laser],
-        beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
-        wrt_camera=wrt_camera,
-        opposite=np.full(len(laser), opposite),
-    )
-    return points, bool(has_covariance.all())
-
-
-def _stamps(break_points: BreakPoints) -> Float64[Array, "laser"]:
-    """Mid exposure of the frame of each laser; NaN where it is unknown."""
-    return np.full(len(break_points.flags), np.nan) if break_points.stamp_s is None else break_points.stamp_s
 
 
 REPEATED = 2.0
@@ -439,76 +237,3 @@ def _repeated_points(first: Points, again: Points) -> Points:
 def joined(first: Parts, second: Parts) -> Parts:
     """The lines, or the break points, of both."""
     return type(first)._make(map(np.concatenate, zip(first, second, strict=True)))
-
-
-def line_whitening(start_sd: float, end_sd: float) -> tuple[float, float, float]:
-    """Inverse Cholesky factor (11, 21, 22) of the joint covariance of a fitted line's ordinates at its two ends.
-
-    An ordinate at the share t of the line's length has the variance s^2 (1 + 12 (t - a)^2), for centres spread
-    evenly over the length; a, where this variance is smallest, follows from the two given ones (1/2 if they are
-    equal), and the covariance of the two ends is s^2 (1 - 12 a (1 - a)). If the ratio of the two exceeds sqrt(13),
-    a is set to the end with the smaller one.
-    """
-    start, end = start_sd * start_sd, end_sd * end_sd
-    # (end - start) 12 a^2 + 24 start a + end - 13 start = 0; the root that stays finite for equal sigmas
-    quadratic, linear, constant = 12.0 * (end - start), 24.0 * start, end - 13.0 * start
-    a = -2.0 * constant / (linear + sqrt(max(linear * linear - 4.0 * quadratic * constant, 0.0)))
-    a = min(max(a, 0.0), 1.0)
-    covariance = 1.0 - 12.0 * a * (1.0 - a)
-    correlation = covariance / sqrt((1.0 + 12.0 * a * a) * (1.0 + 12.0 * (1.0 - a) ** 2))
-    sine = sqrt(1.0 - correlation * correlation)
-    return 1.0 / start_sd, -correlation / (start_sd * sine), 1.0 / (end_sd * sine)
-
-
-def _middles(laser: Int64[Array, "point"], x: Float64[Array, "point"], lines: Lines) -> Float64[Array, "point"]:
-    """Abscissa of the middle of each point's stripe: of its line, or else of its break points."""
-    middle = {number: sum(ends) / 2 for number, ends in zip(lines.laser.tolist(), lines.x.tolist(), strict=True)}
-    for number in set(laser.tolist()) - middle.keys():
-        middle[number] = float(x[laser == number].mean())
-    return np.array([middle[number] for number in laser.tolist()], dtype=np.float64)
-
-
-def no_edges(camera: Camera) -> Edges:
-    """No visible edge points."""
-    return Edges(
-        edge=np.empty(0, dtype=np.int64),
-        ray=np.empty((0, 3)),
-        step=np.empty((0, 2)),
-        wrt_camera=np.empty((0, 2, 4 + len(camera.distortion_coefficients))),
-        common=np.empty((0, ERRORS)),
-        stamp_s=np.empty(0),
-    )
-
-
-def edges_of(ring_edges: RingEdgePoints | None, camera: Camera) -> Edges:
-    """The visible edges as measurements; none without points."""
-    if ring_edges is None or not len(ring_edges.edge):
-        return no_edges(camera)
-    xy = undistort(ring_edges.position_px, camera)
-    ray_wrt_pixel, wrt_camera = rays_wrt_pixel_and_camera(xy, camera)
-    sigma_px = np.maximum(ring_edges.sigma_px, MIN_SIGMA_PX)[:, None]
-    step_px = ring_edges.normal * sigma_px
-    return Edges(
-        edge=ring_edges.edge,
-        ray=np.concatenate([xy, np.ones((len(xy), 1))], axis=1),
-        step=(ray_wrt_pixel @ step_px[:, :, None])[:, :, 0],
-        wrt_camera=wrt_camera,
-        common=common_errors_px(ring_edges) / sigma_px,
-        stamp_s=np.full(len(xy), np.nan) if ring_edges.stamp_s is None else ring_edges.stamp_s,
-    )
-
-
-def error_inflation(edges: Edges, residual: Float64[Array, "visible"]) -> Float64[Array, "visible"]:
-    """Factors on the points' standard deviations: roots of their integrated autocorrelation times in each frame.
-
-    `residual` are the points' residuals in a fit to all measurements, in standard deviations.
-    """
-    factor = np.ones(len(residual))
-    _, frame = np.unique(edges.stamp_s, return_inverse=True)
-    for edge, number in product((0, 1), range(int(frame.max(initial=-1)) + 1)):
-        members = np.flatnonzero((edges.edge == edge) & (frame == number))
-        if len(members) > MAX_SHARE_OF_LENGTH:
-            along = edges.ray[members, :2] - edges.ray[members, :2].mean(axis=0)
-            direction = np.linalg.svd(along, full_matrices=False)[2][0]
-            factor[members] = np.sqrt(integrated_autocorrelation_time(residual[members][np.argsort(along @ direction)]))
-    return factor

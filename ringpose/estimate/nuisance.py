@@ -3,14 +3,10 @@
 Light planes and camera are known with a joint covariance, that of the calibration plus what may have changed since
 (section 11). The columns of its square root are independent errors of unit variance; each one is a parameter of the fit
 beside the ring, with the prior N(0, 1). The rates of a moving target (section 8), the form of a real ring (section 12)
-and the common errors of the points of a visible edge are treated in the same way.
-
-Errors of neighbouring points of a visible edge are correlated, as they come from what lies beside the edge: the foil
-behind it, a wall, a shadow. The correlation exp(-distance / length) is represented by the first terms of its
-Karhunen-Loeve series (`common_errors_px`).
+and the common errors of the points of a visible edge (`ringpose.estimate.factors.edges`) are treated in the same way.
 """
 
-import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import sqrt
@@ -18,16 +14,17 @@ from math import sqrt
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.linearization import Derivatives, Factor, FixedColumns, Residuals
 from ringpose.geometry.rays import pixels_wrt_ray_and_camera
+from ringpose.geometry.ring import EDGE_SIGN, LIFT, edge_distances, polar_angles
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import RigStability
-from ringpose.types.detection import RingEdgePoints
 from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS, Camera, ParameterCovariance, Rig, laser_parameters
 
 _NEGLIGIBLE = 1e-12
 """Share of the correlation matrix's largest eigenvalue below which a combination of parameters counts as exact."""
-
 
 EXACT = RigStability()
 """Stability of a rig that has not changed since its calibration."""
@@ -147,6 +144,9 @@ def covariance_root(covariance: Float64[Array, "n n"]) -> Float64[Array, "n erro
     return root
 
 
+# Derivatives of points in space
+
+
 def point_covariance(
     points: Float64[Array, "n xyz=3"],
     covariance_px2: Float64[Array, "n xy=2 xy=2"],
@@ -218,98 +218,110 @@ def points_wrt_plane(
     return derivative
 
 
-# Visible edges
-
-ROUNDED_PX = 0.05
-"""Standard deviation of the common displacement of an edge: half the brightness on a rounded corner."""
-
-CORRELATED_SHARE = 0.4
-"""Share of a point's standard deviation that is correlated with its neighbours; maximum-likelihood estimate from 60
-edges of rendered rings before foil, walls and shadows, which a constant error in pixels explains far worse."""
-
-CORRELATION_LENGTH_PX = 150.0
-"""Correlation length along the edge, estimated from the same edges (100 and 200 are nearly as likely)."""
-
-TERMS = 8
-"""Terms of the series; further ones have less variance than the points' independent errors."""
-
-FRAME_PX = 0.03
-"""Standard deviation of the displacement of an edge in one frame against another, by what shades or passes behind it
-and differs between them; measured on rendered rings with gaps, in the sun, 6 ms apart."""
-
-FRAMES = 2
-"""Number of frames in which the edges of a moving ring are measured."""
-
-ERRORS = 2 * (1 + TERMS + FRAMES)
-"""Number of common errors of a shot: one displacement, the terms of the series and one in each frame, for each edge."""
-
-SHORT_SERIES = 1.5
-"""Factor on the autocorrelation time: a circle fitted to a short series removes part of the correlation."""
-
-MAX_SHARE_OF_LENGTH = 3
-"""Largest lag as a fraction 1 / 3 of the number of points; longer lags have too few pairs."""
+# Derivatives of the residuals of a ring, which are evaluated once, near the solution
 
 
-def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
-    """Displacement of each point along its normal by common errors of unit variance; 0 for errors of the other edge."""
-    errors = np.zeros((len(edges.edge), 2, ERRORS // 2))
-    frame = np.zeros(len(edges.edge), dtype=np.int64)
-    if edges.stamp_s is not None:
-        frame = np.minimum(np.unique(edges.stamp_s, return_inverse=True)[1], FRAMES - 1)
-    for edge in (0, 1):
-        members = np.flatnonzero(edges.edge == edge)
-        if len(members):
-            errors[members, edge, 0] = ROUNDED_PX
-            along_px = _along_px(edges.position_px[members], edges.normal[members])
-            if frame.any():
-                errors[members, edge, 1 + TERMS + frame[members]] = FRAME_PX
-            errors[members, edge, 1 : 1 + TERMS] = (
-                CORRELATED_SHARE * edges.sigma_px[members, None] * karhunen_loeve_terms(along_px)
-            )
-    return errors.reshape(len(errors), ERRORS)
+def common_errors(residuals: Residuals, prior: Prior) -> FixedColumns:
+    """Derivatives of the residuals by errors of rig, form and mount, then by those of single factors."""
+    observations, assumed = residuals.observations, prior.assumptions
+    rig, form, slope, columns = None, None, None, [np.zeros((len(residuals.residual), 0))]
+    mean_ray = np.zeros((2, 0))
+    errors = rig_errors(observations.rig, assumed.stability)
+    if errors is not None:
+        rig, mean_ray = rig_jacobian(residuals, errors)
+        mean_ray = mean_ray @ errors.root
+        columns.append(rig @ errors.root)
+    if assumed.ring_tolerance_m > 0.0:
+        form = form_jacobian(residuals)
+        columns.append(FORM_SHARE * assumed.ring_tolerance_m * form)
+    if assumed.face_slope_rad > 0.0:
+        slope = slope_jacobian(residuals)
+        columns.append(assumed.face_slope_rad * slope[:, None])
+    if residuals.wrt_camera.shape[1] and observations.camera is not None:
+        covariance = observations.camera.mount.covariance
+        uncertain = np.diag(covariance) > 0
+        columns.append(residuals.wrt_camera @ covariance_root(covariance[np.ix_(uncertain, uncertain)]))
+    shared = sum(each.shape[1] for each in columns)
+    for factor, rows in observations.blocks:
+        own = factor.own_errors(residuals.jacobian[rows], assumed.ring_tolerance_m)
+        columns.append(np.zeros((len(residuals.residual), own.shape[1])))
+        columns[-1][rows] = own
+    joined = np.concatenate(columns, axis=1)
+    return FixedColumns(rig, form, slope, residuals.wrt_camera, mean_ray, joined, joined.shape[1] - shared)
 
 
-def karhunen_loeve_terms(along_px: Float64[Array, "n"]) -> Float64[Array, "n term"]:
-    """Square root of the covariance exp(-distance / `CORRELATION_LENGTH_PX`): its largest eigenfunctions.
+def rig_jacobian(
+    residuals: Residuals, errors: RigErrors
+) -> tuple[Float64[Array, "row parameter"], Float64[Array, "xy=2 parameter"]]:
+    """Derivatives of the residuals, and of the mean of the predicted break points for a fixed ring.
 
-    sqrt(variance) cos(phase t) and sin(phase t) in turn, t from -1 to 1 along the edge (Ghanem and Spanos 1991, 2.3).
+    Errors of the camera move the rays of fixed pixels, errors of a light plane move the predicted stripe. The abscissae
+    of predicted points are those of the measured pixels, their ordinates those of the predicted stripes.
     """
-    first, last = float(along_px.min()), float(along_px.max())
-    half_px = max(0.5 * (last - first), 1.0)
-    lengths = half_px / CORRELATION_LENGTH_PX
-    # phase p of each term at the end of the edge: p = k pi/2 + atan(lengths / p), by Newton's method from above
-    quarter = 0.5 * np.pi * np.arange(TERMS)
-    phase: Float64[Array, "term"] = np.maximum(quarter, math.sqrt(lengths / (1.0 + lengths)))
-    for _ in range(6):
-        error = phase - quarter - np.arctan(lengths / phase)
-        phase = phase - error / (1.0 + lengths / (phase**2 + lengths**2))
-    sign = np.where(np.arange(TERMS) % 2, -1.0, 1.0)
-    amplitude = np.sqrt(2.0 * lengths / (lengths**2 + phase**2))
-    amplitude /= np.sqrt(1.0 + sign * np.sin(2.0 * phase) / (2.0 * phase))
-    angle = ((along_px - 0.5 * (first + last)) / half_px)[:, None] * phase
-    terms: Float64[Array, "n term"] = amplitude * np.where(sign > 0, np.cos(angle), np.sin(angle))
-    return terms
+    observations, stripes, count = residuals.observations, residuals.at.stripes, len(errors.parameters)
+    laser, wrt_camera = observations.laser, observations.wrt_camera
+    rays = (wrt_camera.reshape(-1, len(errors.camera)) @ errors.camera).reshape(len(wrt_camera), 2, count)
+    # m . r = d / depth: the cosine by the tilts is e1 . r and e2 . r, and the distance acts like a cosine of -1 / depth
+    cosine_wrt_tilts = (errors.basis[laser] @ stripes.rays[:, :, None])[:, :, 0]
+    y_wrt_plane = stripes.y_wrt_cosine[:, None] * np.column_stack([cosine_wrt_tilts, -1.0 / stripes.depth])
+    ordinates = (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]
+    jacobian = np.zeros((len(residuals.residual), count))
+    for factor, rows, _, by in _seen(residuals):
+        jacobian[rows] = (factor.wrt_ray(residuals.at)[:, :, None] * rays[factor.ray]).sum(axis=1)
+        if by.ordinate is not None:
+            jacobian[rows] += by.ordinate * ordinates[factor.ray]
+        jacobian[rows] = factor.whitened(jacobian[rows])
+    points, x = observations.described, rays[: len(laser), 0]
+    predicted = x, ordinates + stripes.slope[:, None] * x
+    return jacobian, np.array([each[points].mean(axis=0) for each in predicted])
 
 
-def _along_px(position_px: Float64[Array, "n xy=2"], normal: Float64[Array, "n xy=2"]) -> Float64[Array, "n"]:
-    """Positions along the edge: perpendicular to the mean normal of its points."""
-    normal_x, normal_y = normal.sum(axis=0)
-    length = math.hypot(normal_x, normal_y) or 1.0
-    along_px: Float64[Array, "n"] = (position_px[:, 1] * normal_x - position_px[:, 0] * normal_y) / length
-    return along_px
+def form_jacobian(residuals: Residuals) -> Float64[Array, "row amplitude=18"]:
+    """Derivatives of the residuals with respect to the amplitudes of the ring's form (`FORM_PARAMETERS`), Eq. (12.1).
 
-
-def integrated_autocorrelation_time(series: Float64[Array, "n"]) -> float:
-    """Variance of the mean of a series, relative to that of as many independent standard normal numbers; at least 1.
-
-    It is the variance plus twice the autocovariances up to the first one that is not positive (Geyer's initial
-    sequence).
+    An axial deviation acts like an offset of the plane, a radial one like a change of its edge's radius, both at the
+    angle of the row: the two ends of a line are at different angles.
     """
-    clipped = np.clip(series, -3.0, 3.0)
-    variance = total = float(clipped @ clipped) / len(clipped)
-    for lag in range(1, len(clipped) // MAX_SHARE_OF_LENGTH):
-        autocovariance = float(clipped[lag:] @ clipped[:-lag]) / len(clipped)
-        if autocovariance <= 0:
-            break
-        total += 2.0 * autocovariance
-    return max(1.0, SHORT_SERIES * total if total > variance else variance)
+    at, view = residuals.at, residuals.observations.view
+    phase = polar_angles(at.arcs, np.concatenate([at.stripes.rays, view.visible_rays]))[:, None] * FORM_ORDERS
+    shape = np.stack([np.cos(phase), np.sin(phase)], axis=-1).reshape(len(phase), -1)
+    jacobian = np.zeros((len(residuals.residual), len(FORM_PARAMETERS)))
+    for factor, rows, unwhitened, by in _seen(residuals):
+        deviation = np.zeros((len(unwhitened), 3))  # inner, outer, axial
+        if factor.edge is not None and by.distance is not None:
+            deviation[range(len(deviation)), factor.edge] -= by.distance[:, 0]
+        deviation[:, 2] = unwhitened[:, 1 + LIFT]
+        of_rows = deviation[:, :, None] * shape[factor.ray][:, None]
+        jacobian[rows] = factor.whitened(of_rows.reshape(len(of_rows), -1))
+    return jacobian
+
+
+def slope_jacobian(residuals: Residuals) -> Float64[Array, "row"]:
+    """Derivatives of the residuals with respect to the slope of the face, Eq. (12.3).
+
+    The face rises outwards by the slope times the distance from its middle, and acts there like an offset of the plane.
+    """
+    at, arcs = residuals.at, residuals.arcs
+    jacobian = np.zeros(len(residuals.residual))
+    for factor, rows, unwhitened, _ in _seen(residuals):
+        if factor.edge is None:
+            outside_m = edge_distances(arcs, at.stripes.rays[factor.ray], np.zeros(len(unwhitened))).distance_m
+        else:
+            outside_m = arcs.half_band_m * np.array(EDGE_SIGN)[factor.edge]
+        jacobian[rows] = factor.whitened(outside_m * unwhitened[:, 1 + LIFT])
+    return jacobian
+
+
+def _seen(
+    residuals: Residuals,
+) -> Iterator[tuple[Factor, slice, Float64[Array, "row column"], Derivatives]]:
+    """The factors that are seen in the image, with their rows before the whitening and the derivatives of these."""
+    for factor, rows in residuals.observations.blocks:
+        unwhitened, by = factor.linearized(residuals.at)
+        if by is not None:
+            yield factor, rows, unwhitened, by
+
+
+def nuisance_columns(residuals: Residuals, fixed: FixedColumns) -> Float64[Array, "row error"]:
+    """Matrix B: derivatives with respect to the rates, then the other common errors, in sigmas of their priors."""
+    return np.concatenate([residuals.wrt_rates * residuals.rate_sds, fixed.columns], axis=1)

@@ -17,10 +17,11 @@ import numpy as np
 
 from ringpose.estimate import covariance as joint
 from ringpose.estimate.covariance import Quantities
-from ringpose.estimate.explanation import Explanation
-from ringpose.estimate.factors import PARAMETERS, RIDGE, common_errors, ring_residuals
 from ringpose.estimate.faults import MAX_COLUMNS, Fault, faults_of
-from ringpose.estimate.solver import OUTLIER_SIGMAS, nuisance_columns
+from ringpose.estimate.hypotheses import Explanation
+from ringpose.estimate.linearization import PARAMETERS, ring_residuals
+from ringpose.estimate.nuisance import common_errors, nuisance_columns
+from ringpose.estimate.solver import OUTLIER_SIGMAS, RIDGE
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.protection import CENTER, GRASP, INWARD, TILTS, Separation
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ringpose.estimate.explanation import Explanation
-from ringpose.estimate.hypotheses import single_stripe_estimates
+from ringpose.estimate.hypotheses import Explanation
+from ringpose.estimate.stripe_evidence import single_stripe_estimates
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
 from ringpose.types.arrays import Array, Bool, Float64

@@ -19,7 +19,7 @@ from ringpose.types.pose import HARMLESS_FLAGS, LaserState, NoPose, PoseFlag, Po
 from ringpose.types.rig import Rig
 
 if TYPE_CHECKING:  # not imported to print the table
-    from ringpose.estimate.explanation import Explanation
+    from ringpose.estimate.hypotheses import Explanation
 
 NOT_A_RING = Finding.STRAIGHT | Finding.OTHER_SURFACE | Finding.FEW_ENDS
 """Findings that something else than a ring may have left the shot."""

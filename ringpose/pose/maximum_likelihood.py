@@ -16,7 +16,6 @@ from ringpose.estimate.covariance import (
     EDGE_ON_BELOW,
     GRASP,
     GRASP_UNKNOWN_FROM_M,
-    REDUNDANT_STRIPES,
     TILT_SD_LIMIT_RAD,
     TILTS,
     UNKNOWN_FROM,
@@ -25,29 +24,21 @@ from ringpose.estimate.covariance import (
     difference_from,
     exceeds_sd,
     joint_covariance,
-    plane_evidence,
-    prior_rows,
     quantities,
-    ring_measurement,
     ring_velocity,
     second_order_bias_m,
     standard_deviation,
     with_second_order,
 )
-from ringpose.estimate.explanation import (
-    COINCIDENCE,
-    MIN_FREEDOM,
-    RADIUS_SIGMAS,
-    WIDER,
-    Explanation,
-    edge_mean_square,
-    explain,
-)
-from ringpose.estimate.factors import Prior
-from ringpose.estimate.hypotheses import edge_evidence
+from ringpose.estimate.explanation import RADIUS_SIGMAS, explain
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.hypotheses import Explanation
+from ringpose.estimate.information import REDUNDANT_STRIPES, plane_evidence, prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
+from ringpose.estimate.ring_estimate import MIN_FREEDOM, Estimate, edge_mean_square
+from ringpose.estimate.selection import COINCIDENCE, WIDER
 from ringpose.estimate.separation import solution_separation
-from ringpose.estimate.solver import Estimate
+from ringpose.estimate.stripe_evidence import edge_evidence
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN

@@ -13,11 +13,11 @@ from math import degrees, hypot, log, nan, sqrt
 
 import numpy as np
 
-from ringpose.estimate.explanation import chi2_quantile
 from ringpose.estimate.nuisance import (
     light_plane_bases,
     total_covariance,
 )
+from ringpose.estimate.ring_estimate import chi2_quantile
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.measure.status import sentences, with_findings
 from ringpose.types.arrays import Array, Float64, Int64

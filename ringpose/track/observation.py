@@ -9,7 +9,7 @@ from math import sqrt
 
 import numpy as np
 
-from ringpose.estimate.covariance import POSE, RATES
+from ringpose.estimate.information import POSE, RATES
 from ringpose.geometry import ring
 from ringpose.geometry.camera_motion import CameraState
 from ringpose.geometry.rotations import tilt_basis

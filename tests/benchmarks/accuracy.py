@@ -21,7 +21,7 @@ from benchmarks.stripe_images import Kind, exact_break_points, shot_of, stripe_i
 
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripes import find_stripes
-from ringpose.estimate.measurements import line_whitening
+from ringpose.estimate.factors.lines import line_whitening
 from ringpose.measure.stream import estimate_pose
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.detection import BreakPointFlag, BreakPoints

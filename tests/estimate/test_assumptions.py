@@ -11,7 +11,7 @@ from ring_scenes import edges_in_frames, face_points_of, make_scene, nees, scene
 from ring_streams import within_stability
 
 from ringpose.estimate.explanation import explain
-from ringpose.estimate.factors import Prior
+from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.pose_errors import mahalanobis_squared
 from ringpose.files.scenes.scene import read_scene

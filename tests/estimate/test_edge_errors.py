@@ -7,7 +7,7 @@ import pytest
 from calibrated import DRAWS, assert_calibrated
 from ring_scenes import face_points_of, make_scene, visible_edges_of, with_stripes
 
-from ringpose.estimate.nuisance import CORRELATION_LENGTH_PX, common_errors_px, karhunen_loeve_terms
+from ringpose.estimate.factors.edges import CORRELATION_LENGTH_PX, common_errors_px, karhunen_loeve_terms
 from ringpose.measure.stream import estimate_pose
 from ringpose.types.pose import HARMLESS_FLAGS, PoseFlag
 

@@ -7,9 +7,10 @@ import pytest
 from ring_scenes import face_points_of, make_scene, visible_edges_of
 
 from ringpose.estimate.covariance import joint_covariance, quantities
-from ringpose.estimate.factors import Factor, Prior
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.linearization import Factor
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.solver import estimate_ring
+from ringpose.estimate.ring_estimate import estimate_ring
 from ringpose.geometry.ring import LIFT, TILT_ALONG, TILT_INWARD
 
 OFFSET = 2

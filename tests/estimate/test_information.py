@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 from ring_scenes import RIGS, face_points_of, make_scene, moved_rig, turn_between, visible_edges_of, with_stripes
 
-from ringpose.estimate.covariance import (
-    POSE,
-    RATES,
-    joint_covariance,
-    quantities,
-)
+from ringpose.estimate.covariance import joint_covariance, quantities
 from ringpose.estimate.explanation import explain
-from ringpose.estimate.factors import Prior
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.information import POSE, RATES
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.nuisance import total_covariance
 from ringpose.geometry.ring import normal_and_center

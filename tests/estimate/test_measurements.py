@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ringpose.estimate.measurements import line_whitening
+from ringpose.estimate.factors.lines import line_whitening
 
 
 def covariance_of_ends(weight):

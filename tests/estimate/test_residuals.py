@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from ring_scenes import face_points_of, make_scene, visible_edges_of
 
-from ringpose.estimate.factors import Prior, ring_residuals
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.linearization import ring_residuals
 from ringpose.estimate.measurements import measurements_of
 from ringpose.geometry.ring import ring_arcs
 from ringpose.types.pose import KnownRadii

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from ring_scenes import face_points_of, make_scene
 
-from ringpose.estimate.factors import Prior, retract_ring, ring_residuals
+from ringpose.estimate.factors.prior import Prior
+from ringpose.estimate.linearization import retract_ring, ring_residuals
 from ringpose.estimate.measurements import measurements_of
-from ringpose.estimate.solver import DECISION_SIGMAS, estimate_ring, initial_guess, precise_ring
+from ringpose.estimate.ring_estimate import DECISION_SIGMAS, estimate_ring, precise_ring
+from ringpose.estimate.solver import initial_guess
 from ringpose.geometry.ring import CURVATURE, HALF_BAND, LIFT, TILT_ALONG
 from ringpose.measure.stream import estimate_pose, pose_result
 from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, RingPose

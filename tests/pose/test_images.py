@@ -8,7 +8,7 @@ from drawn_scene import RADII_M, DrawnScene, draw_shot, drawn_rig
 from ring_scenes import Ring, nees
 
 from ringpose.detect.pipeline import detect
-from ringpose.estimate.nuisance import integrated_autocorrelation_time
+from ringpose.estimate.factors.edges import integrated_autocorrelation_time
 from ringpose.measure.stream import estimate_pose
 from ringpose.types.pose import KnownRadii
 

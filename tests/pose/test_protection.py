@@ -11,11 +11,11 @@ from scipy.stats import norm
 
 from ringpose.estimate.covariance import CENTER, GRASP, difference_from, joint_covariance, quantities
 from ringpose.estimate.explanation import explain
-from ringpose.estimate.factors import Prior
+from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.faults import END_SD_PX
 from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.ring_estimate import estimate_ring
 from ringpose.estimate.separation import solution_separation
-from ringpose.estimate.solver import estimate_ring
 from ringpose.geometry.rotations import angle_between
 from ringpose.measure.stream import pose_line, pose_result
 from ringpose.pose.protection import UNCOVERED_PROBABILITY, protection_level, protection_of
