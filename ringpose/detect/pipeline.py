@@ -25,12 +25,30 @@ from ringpose.detect.difference_images import (
     saturated_along_stripes,
 )
 from ringpose.detect.motion import RingMotion, ring_motion
-from ringpose.detect.rim import CLEAR_MARGIN, CONFIRMED, LONG_COLUMNS, Face, planes_per_m, ring_face
+from ringpose.detect.rim import CONFIRMED, LONG_COLUMNS, Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
-from ringpose.detect.stripes import BLOCK, MAX_GAP, find_stripes, stripe_line_segments, without_ghosts
+from ringpose.detect.stripes import (
+    BLOCK,
+    MAX_GAP,
+    SAME_STRIPE_PX,
+    find_stripes,
+    stripe_line_segments,
+    without_ghosts,
+)
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
-from ringpose.kernels.lines import CENTERS, DEPTH_RANGE_M, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
+from ringpose.kernels.lines import (
+    AGREEMENT,
+    CENTERS,
+    FARTHEST_M,
+    LASER,
+    MIDDLE_X,
+    MIDDLE_Y,
+    NEAREST_M,
+    SLOPE,
+    X_END,
+    X_START,
+)
 from ringpose.types.arrays import Array, Bool, Float64, Int32, Int64
 from ringpose.types.assumptions import USUAL, Assumptions
 from ringpose.types.detection import (
@@ -375,8 +393,8 @@ def _without_ghosts(
     ]
 
 
-ON_PREDICTED_SIGMAS, ON_PREDICTED_PX = 4.0, 2.0
-"""Distance from a predicted stripe within which a centre is on it: sigmas of the prediction, and a margin."""
+ON_PREDICTED_SIGMAS = 4.0
+"""Distance from a predicted stripe within which a centre is on it: sigmas of the prediction, and `SAME_STRIPE_PX`."""
 
 
 def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: Rig) -> Stripes:
@@ -391,7 +409,7 @@ def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: 
         if not np.isfinite(ends).all():
             continue
         (left, first), (right, last) = sorted(project(undistorted_rays(ends, rig.camera), rig.camera).tolist())
-        tolerance_px = ON_PREDICTED_SIGMAS * float(arc.face_sigma_px[laser].max()) + ON_PREDICTED_PX
+        tolerance_px = ON_PREDICTED_SIGMAS * float(arc.face_sigma_px[laser].max()) + SAME_STRIPE_PX
         on = np.abs(y - np.interp(x, [left, right], [first, last])) < tolerance_px
         on &= (x > left - tolerance_px) & (x < right + tolerance_px)
         near[:, laser] += np.bincount(stripes.piece[on], minlength=len(stripes.laser))
@@ -596,7 +614,7 @@ def _masks_contradicted(face: Face | None, segments: Float64[Array, "segment col
     unlabelled = segments.copy()
     unlabelled[:, LASER] = UNLABELLED
     other = ring_face(unlabelled, range(len(rig.lasers.names)), rig)
-    explained = -math.inf if face is None else face.score + CLEAR_MARGIN[CONFIRMED]
+    explained = -math.inf if face is None else face.score + AGREEMENT
     return other is not None and len(other.lasers) >= CONFIRMED and other.score > explained
 
 
@@ -608,26 +626,23 @@ def _why_no_stripe(images: Sequence[LaserImage]) -> NoBreakPoints:
     return NoBreakPoints.NO_STRIPE
 
 
-MIN_POSSIBLE_SHARE = 0.5
-"""Minimum share of the long segments' columns at a possible depth; in 81 rendered shots it is 1, in the same turned
-upside down at most two thirds."""
-
-
 def stripes_behind_camera(segments: Float64[Array, "segment column=12"], rig: Rig) -> bool:
-    """Whether most straight stripes would lie behind the camera or inside its lens, for every possible laser."""
+    """Whether most straight stripes would lie behind the camera or inside its lens, for every possible laser.
+
+    Of 81 rendered shots none of the columns of long segments does, in the same turned upside down a third or more.
+    """
     long = segments[segments[:, CENTERS] >= LONG_COLUMNS]
     possible = _possible(long, rig)
     drawn = long[:, [LASER]] == np.arange(possible.shape[1])
     anywhere = (possible & (drawn | (long[:, [LASER]] == UNLABELLED))).any(axis=1)
-    return float(long[anywhere, CENTERS].sum()) < MIN_POSSIBLE_SHARE * float(long[:, CENTERS].sum())
+    return 2.0 * float(long[anywhere, CENTERS].sum()) < float(long[:, CENTERS].sum())
 
 
 def _possible(segments: Float64[Array, "segment column=12"], rig: Rig) -> Bool[Array, "segment laser"]:
     """For each segment and laser, whether part of the segment has a possible depth on the laser's light plane."""
     per_m = undistorted_rays(_ends_undistorted_px(segments), rig.camera) @ planes_per_m(rig).T
-    nearest_m, farthest_m = DEPTH_RANGE_M
     # to infinity, with a margin for calibration and noise that is as large as the inverse of the range's upper limit
-    return (per_m.max(axis=1) > -1.0 / farthest_m) & (per_m.min(axis=1) < 1.0 / nearest_m)
+    return (per_m.max(axis=1) > -1.0 / FARTHEST_M) & (per_m.min(axis=1) < 1.0 / NEAREST_M)
 
 
 def _ends_undistorted_px(segments: Float64[Array, "segment column=12"]) -> Float64[Array, "segment end=2 xy=2"]:
@@ -663,10 +678,6 @@ def predicted_bands(
         top, bottom = _search_range(y, other_y, BAND_PX, camera.image_height)
         bands.append((left, right, top, bottom))
     return np.array(bands, dtype=np.int32)
-
-
-SAME_STRIPE_PX = 3.0
-"""Largest distance of a centre from the line of its segment: half of that at which two stripes are told apart."""
 
 
 def _within_bands(stripes: Stripes, bands: Int32[Array, "band side=4"], camera: Camera) -> Stripes:

@@ -16,16 +16,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.stripes import lens
+from ringpose.detect.stripes import SAME_STRIPE_PX, lens
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import (
+    AGREEMENT,
     CENTERS,
     CLIPPED,
-    DEPTH_RANGE_M,
     LASER,
     MIDDLE_X,
     MIDDLE_Y,
+    NEAREST_M,
     SEGMENT_COLUMNS,
     SLOPE,
     X_END,
@@ -38,28 +39,15 @@ from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import Camera, Rig
 
-CUT_OFF_PX = 6.0
-"""Distance from the left or right border within which an end is due to the image's border, not to the face."""
-
-CUT_OFF_ROWS_PX = 10.0
-"""The same for the upper and lower border, where only stripes with a complete cross-section are measured: up to 6.5
-px."""
+CUT_OFF_PX = 10.0
+"""Distance from the image's border within which an end is due to the border, not to the face: only stripes with a
+complete cross-section are measured, up to 6.5 px beside the upper and lower border."""
 
 CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
 """Minimum score by number of segments, which foil hardly ever reaches; two segments have little redundancy."""
 
-SEGMENT_PENALTY = 3.0
-"""Minimum increase of the score by a further segment; a piece of foil that happens to be coplanar adds less."""
-
-CLEAR_MARGIN = {3: 4.0, 2: 4.0, 1: math.inf}
-"""Minimum difference of the scores of two assignments, by number of segments; with less, the assignment is ambiguous.
-That of a single segment cannot be verified by its score, so that any other possible assignment makes it ambiguous."""
-
 CONFIRMED = 3
 """Number of segments below which coplanarity may be a coincidence, so that other explanations are examined."""
-
-FURTHER_OFF_PX = 3.0
-"""Maximum distance in rows of a further laser's segment from the plane of three, whose extrapolation errs, too."""
 
 MAX_TO_SHORTEST = 2.5
 """Maximum ratio of the lengths of stripes on one face: they cross it at 45 degrees or more, and half of one may be
@@ -69,7 +57,8 @@ IN_FRONT_M = (0.005, 0.3)
 """Range of the distance of another flat surface in front of the plane of a ring."""
 
 PARALLEL_WITHIN = 0.05
-"""Maximum slope of a stripe on it to that plane; the normal of two short stripes is known to a few degrees."""
+"""Maximum slope of a stripe on it, or of its plane, to that plane; the normal of two short stripes is known to a few
+degrees."""
 
 MIN_LENGTH_RATIO = 0.5
 """Minimum length of that stripe, as a share of those on the ring."""
@@ -77,9 +66,6 @@ MIN_LENGTH_RATIO = 0.5
 LONG_COLUMNS = 30
 """Minimum length of segments that are examined for another explanation; shorter ones may be reflections, or on facets
 of foil."""
-
-MAX_TILT_OF_FACES = 0.1
-"""Maximum angle in rad between two parallel faces of three stripes each: the planes of short stripes err."""
 
 DISPLACED_M = 0.02
 """Maximum distance from a ring's plane of the stripe of a light plane that has moved; the body is farther behind."""
@@ -167,11 +153,15 @@ class Chords(NamedTuple):
     def are_convincing(self) -> bool:
         """Whether foil hardly ever reaches the score, and no other assignment explains the segments about as well."""
         number = len(self.chords)
-        return (
-            bool(number)
-            and self.score > CONVINCING_SCORE[number]
-            and not self.rival > self.score - CLEAR_MARGIN[number]
-        )
+        return bool(number) and self.score > CONVINCING_SCORE[number] and not ambiguous(self.score, self.rival, number)
+
+
+def ambiguous(score: float, rival: float, number: int) -> bool:
+    """Whether another assignment of that number of segments explains them no worse than chance may.
+
+    That of a single segment cannot be verified by its score, so that any other possible assignment makes it ambiguous.
+    """
+    return rival > (score - AGREEMENT if number > 1 else -math.inf)
 
 
 class Faces(NamedTuple):
@@ -202,7 +192,7 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
     while best is not None and not _lengths_consistent(every[list(best.segments)], best.lasers, rig):
         groups = [None if group is best else group for group in groups]
         best = best_hypothesis(groups)
-    if chords.are_convincing and (best is None or _explains_more(chords, best, ring.agreement)):
+    if chords.are_convincing and (best is None or _explains_more(chords, best)):
         return face_of_both_arcs(chords, every, rig)
     if best is None:
         return None
@@ -213,7 +203,7 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
         lasers=best.lasers,
         segments=chosen,
         score=best.score,
-        ambiguous=best.rival > best.score - CLEAR_MARGIN[len(best.segments)],
+        ambiguous=ambiguous(best.score, best.rival, len(best.segments)),
         displaced=() if beside is None else (beside,),
     )
     if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
@@ -253,9 +243,9 @@ def _segments_on_plane(
     by_laser = {
         laser: row
         for laser, row in zip(face.lasers, used, strict=True)
-        if _off_plane_px(row, laser, origin, normal, rig) < FURTHER_OFF_PX
+        if _off_plane_px(row, laser, origin, normal, rig) < SAME_STRIPE_PX
     }
-    if len(by_laser) < len(used) or float(ends_m[:, :, 2].min()) < DEPTH_RANGE_M[0]:
+    if len(by_laser) < len(used) or float(ends_m[:, :, 2].min()) < NEAREST_M:
         return {}
     for row in sorted(segments.tolist(), key=lambda row: -row[CENTERS]):
         for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
@@ -263,8 +253,8 @@ def _segments_on_plane(
                 continue
             (own_m,) = _ends_m(np.array([row]), [laser], rig)
             as_long = max(lengths_m) / MAX_TO_SHORTEST < math.dist(*own_m) < MAX_TO_SHORTEST * min(lengths_m)
-            in_front = own_m[:, 2].min() > DEPTH_RANGE_M[0]
-            if in_front and as_long and _off_plane_px(row, laser, origin, normal, rig) < FURTHER_OFF_PX:
+            in_front = own_m[:, 2].min() > NEAREST_M
+            if in_front and as_long and _off_plane_px(row, laser, origin, normal, rig) < SAME_STRIPE_PX:
                 by_laser[laser] = row
     return by_laser
 
@@ -343,9 +333,9 @@ FURTHER_AGREEMENTS = 2
 """Two pieces on one line with ends about one middle agree three times by chance, two segments on one plane once."""
 
 
-def _explains_more(chord: Chords, group: Group, agreement: float) -> bool:
+def _explains_more(chord: Chords, group: Group) -> bool:
     """Whether a single stripe across both arcs is more probable than fewer than three segments on one arc."""
-    return len(group.segments) < CONFIRMED and chord.score + FURTHER_AGREEMENTS * agreement > group.score
+    return len(group.segments) < CONFIRMED and chord.score + FURTHER_AGREEMENTS * AGREEMENT > group.score
 
 
 def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
@@ -363,7 +353,7 @@ def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
     if two is None or three is None:
         return three or two or one
     among = set(zip(two.lasers, two.segments, strict=True)) < set(zip(three.lasers, three.segments, strict=True))
-    return three if three.score > two.score + (SEGMENT_PENALTY if among else -SEGMENT_PENALTY) else two
+    return three if three.score > two.score + (AGREEMENT if among else -AGREEMENT) else two
 
 
 def _lengths_consistent(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> bool:
@@ -490,7 +480,7 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Ri
     nearer = ring_face(rows, face.lasers, rig) if len(rows) > 1 else None
     if nearer is not None and len(nearer.lasers) > 1 and (nearer.is_confirmed or nearer.score > face.score):
         nearer_m, _, _, normal = _plane_of(nearer.segments, nearer.lasers, rig)
-        parallel = float(np.linalg.norm(normal - plane.normal)) < MAX_TILT_OF_FACES
+        parallel = float(np.linalg.norm(normal - plane.normal)) < PARALLEL_WITHIN
         if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):
             return nearer
     length_m, may_be_face = _lengths_m(ends_m), parallel_in_front(ends_m, plane.origin_m, plane.normal)
@@ -579,14 +569,13 @@ def _ring_params(camera: Camera) -> RingParams:
     inside = (CUT_OFF_PX, camera.image_width - 1 - CUT_OFF_PX)
     left, right = (undistorted_rays(np.stack([np.full(9, x), rows], axis=-1), camera)[:, 0] for x in inside)
     columns = np.linspace(0.0, camera.image_width - 1.0, 9)
-    above = (CUT_OFF_ROWS_PX, camera.image_height - 1 - CUT_OFF_ROWS_PX)
+    above = (CUT_OFF_PX, camera.image_height - 1 - CUT_OFF_PX)
     top, bottom = (undistorted_rays(np.stack([columns, np.full(9, y)], axis=-1), camera)[:, 1] for y in above)
     return RingParams(
         focal_x=matrix[0, 0],
         focal_y=matrix[1, 1],
         principal_x=matrix[0, 2],
         principal_y=matrix[1, 2],
-        image_height=camera.image_height,
         left_x=float(left.max()),
         right_x=float(right.min()),
         top_y=float(top.max()),

@@ -53,6 +53,9 @@ FILTER_SIGMA_PX = 2.5
 to 40 px; neighbouring stripes are resolved from a distance of about 2.5 of these sigmas. For the measurement, the
 filter is selected for each piece."""
 
+SAME_STRIPE_PX = 3.0
+"""Largest distance of a centre from the line of its stripe: half of that at which two stripes are told apart."""
+
 MIN_COLUMNS = 8
 """Minimum length of a piece, or of the overlap of two edges: noise may link over a few columns by chance."""
 

@@ -29,7 +29,7 @@ LENS = Lens(fx=900.0, fy=900.0, cx=400.0, cy=300.0)
 PLACES = PlaceParams(image_width=100, image_height=90)
 PROFILES = ProfileParams(reach_px=2, inside_px=2, outside_px=2, saturation_dn=255)
 STRIPES = StripeParams(min_response=0.2, coarse_per_response=5.0, full_dn=255)
-RING = RingParams(focal_x=900.0, focal_y=900.0, principal_x=400.0, principal_y=300.0, image_height=90)
+RING = RingParams(focal_x=900.0, focal_y=900.0, principal_x=400.0, principal_y=300.0)
 TRACKS = np.zeros((2, len(SEGMENT_COLUMNS)))
 
 

@@ -9,7 +9,7 @@ from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.detect.rim import ring_faces
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.lines import SEGMENT_COLUMNS, CandidateParams, RingParams, UnionParams
+from ringpose.kernels.lines import AGREEMENT, SEGMENT_COLUMNS, CandidateParams, RingParams, UnionParams
 
 
 class Rules(NamedTuple):
@@ -20,7 +20,7 @@ class Rules(NamedTuple):
     candidates: CandidateParams = CandidateParams()
 
 
-RULES = Rules(RingParams(focal_x=1781.0, focal_y=1780.0, principal_x=803.0, principal_y=596.0, image_height=1200))
+RULES = Rules(RingParams(focal_x=1781.0, focal_y=1780.0, principal_x=803.0, principal_y=596.0))
 ANY = 0b111
 
 
@@ -90,7 +90,7 @@ def test_an_end_beyond_the_border_is_not_observed_and_may_lie_off_the_circles(rn
     exact = exact_score(tracks_between(ends[:, 0], ends[:, 1]), params)
     found = exact_score(tracks_between(moved[:, 0], moved[:, 1]), cut)
 
-    assert found == pytest.approx(exact - 3 * params.candidates.cut_penalty, abs=0.01)
+    assert found == pytest.approx(exact - 3 * AGREEMENT, abs=0.01)
 
 
 def test_a_stripe_of_which_the_border_cuts_off_both_ends_shows_no_face(rng):
@@ -113,7 +113,7 @@ def test_an_end_at_a_nearer_surface_is_not_the_stripes_own(rng, nearer_px, penal
     alone = exact_score(tracks_between(ends[:, 0], ends[:, 1], laser=np.arange(3.0)), params)
     found = exact_score(tracks_between(*segments, laser=np.array([0.0, 1.0, 2.0, 0.0])), params)
 
-    assert found == pytest.approx(alone - penalised * params.candidates.covered_penalty, abs=0.01)
+    assert found == pytest.approx(alone - penalised * AGREEMENT, abs=0.01)
 
 
 def test_the_true_ring_wins_under_its_true_labels(rng):
@@ -189,7 +189,7 @@ def test_other_lasers_stripes_on_the_body_that_happen_to_lie_on_a_stripes_line_a
     found = ring_faces(segments, lasers, light, *with_rules(**WIDE)).groups[2]
 
     assert found.segments == (0, 1, 2)
-    assert alone - found.score == pytest.approx(2 * (3.0 if lasers == ANY else 0.75 * 15.0))
+    assert alone - found.score == pytest.approx(2 * (AGREEMENT if lasers == ANY else 0.75 * 15.0))
 
 
 def test_what_lies_on_the_line_of_the_nearest_of_parallel_stripes_can_be_no_other_lasers():

@@ -47,8 +47,6 @@ class SegmentParams:
     on_line_px: float = 2.5
     """A centre belongs to a line if it is closer than this; the nearest body behind a ring is 4 px away at 1 m."""
     min_columns: int = MIN_COLUMNS
-    max_lag: int = 40
-    """Largest lag, in columns, of the autocorrelation of residuals: a facet of crinkled foil."""
 
 
 SEGMENT_COLUMNS = column_names("Segment")
@@ -82,8 +80,12 @@ class UnionParams:
     min_columns: float = MIN_SEGMENT_COLUMNS
 
 
-DEPTH_RANGE_M = (0.05, 3.0)
+NEAREST_M, FARTHEST_M = 0.05, 3.0
 """Range of the depth of a ring; wider at both ends than the working range of 0.2 to 1 m."""
+
+AGREEMENT = 3.0
+"""Gain in log likelihood by each end that agrees with a ring, the log of its range by chance over its sigma (3.14): the
+loss by one that is not seen, too, the largest cost of one that agrees, and the least gain that is not by chance."""
 
 
 @kernel_record
@@ -91,30 +93,19 @@ DEPTH_RANGE_M = (0.05, 3.0)
 class CandidateParams:
     """Which segments are candidates for the rim, and how they are ranked for each laser."""
 
-    min_depth_m: float = DEPTH_RANGE_M[0]
-    max_depth_m: float = DEPTH_RANGE_M[1]
+    min_depth_m: float = NEAREST_M
+    max_depth_m: float = FARTHEST_M
     typical_scatter_px: float = 0.3
     """Scatter of a stripe's centres about its line, on metal. The merit of a segment is 2 log(columns) -
-    (scatter / typical_scatter)^2 / 2, less the penalties below."""
+    (scatter / typical_scatter)^2 / 2, less the penalty below, and `AGREEMENT` for each end that is cut off or covered
+    and for a merged segment: merging also favours the body's stripes, which shadows and glints break."""
     max_counted_columns: int = 120
     """Columns beyond this number do not increase the merit: the longest segments are on the body."""
     spill_penalty: float = 15.0
     """Penalty if all centres on the line lie beyond the ends of the segment, where the face should end; proportional to
     their share."""
-    coincidence_penalty: float = 3.0
-    """Limit of that penalty if the centres may belong to another laser's stripe on the body behind the rim, at ..."""
-    min_behind_m: float = 0.01
-    max_behind_m: float = 0.3
-    """... a distance in this range behind it: light planes are nearly parallel, so that one face in five has another
-    laser's stripe on its line."""
     adjacent_px: float = 8.0
     """Distance from an end within which another piece of the stripe belongs to it."""
-    cut_penalty: float = 4.0
-    """Penalty of an end at the image border, which was not observed."""
-    covered_penalty: float = 3.0
-    """Penalty of an end at a nearer surface, which hides where the stripe ends."""
-    union_penalty: float = 3.0
-    """Penalty of a merged segment: merging also favours the body's stripes, which shadows and glints break."""
     max_candidates: int = 20
     """Largest number of candidates for each laser."""
 
@@ -128,9 +119,6 @@ class RingParams:
     focal_y: float
     principal_x: float
     principal_y: float
-    image_height: int
-    border_px: float = 15.0
-    """A stripe closer than this to the upper or lower border may be missed without penalty."""
     along_sigma_px: float = 2.0
     """Sigma of the distance of a segment's end from its circle, before refinement."""
     oblique_sigma_px: float = 6.0
@@ -138,21 +126,12 @@ class RingParams:
     px at 25 degrees."""
     across_sigma_px: float = 0.4
     """Sigma of the distance of a segment from the line in which the plane cuts the light plane: noise, calibration."""
-    plane_limit: float = 8.0
-    """Largest cost of a common plane, for each segment."""
-    circle_limit: float = 6.0
-    """Largest cost of two concentric circles, for each segment."""
-    dropped_end_penalty: float = 6.0
-    """Penalty of treating one of six ends as occluded: by chance one in four hundred."""
-    unseen_penalty: float = 6.0
-    """Penalty of each laser whose stripe is missing where the plane predicts it: occluded, or this is not the rim."""
     max_tilt_rad: float = math.radians(75)
     """Maximum tilt: beyond, a face is too oblique to show a stripe of usable length."""
     min_chord_ends: int = 7
     """Fewest own ends of stripes that cross both arcs of a ring: two circles about one centre have four unknowns, and a
     group on one arc has two ends more. With one less, a bracket beside an arc may be taken for the other arc."""
-    agreement: float = 3.0
-    """Gain of such a group by each end on its circles: the log of the range of an end by chance over its sigma."""
+    agreement: float = AGREEMENT
     left_x: float = -math.inf
     """Ends to the left of this normalised x, ..."""
     right_x: float = math.inf

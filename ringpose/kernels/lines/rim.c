@@ -34,13 +34,7 @@ RECORD(UnionParams, UNION_PARAMS);
     REAL(typical_scatter_px, POSITIVE)                                                                              \
     COUNT(max_counted_columns, 1, INT32_MAX)                                                                        \
     REAL(spill_penalty, FINITE)                                                                                     \
-    REAL(coincidence_penalty, FINITE)                                                                               \
-    REAL(min_behind_m, FINITE)                                                                                      \
-    REAL(max_behind_m, FINITE)                                                                                      \
     REAL(adjacent_px, NOT_NEGATIVE)                                                                                 \
-    REAL(cut_penalty, NOT_NEGATIVE)                                                                                 \
-    REAL(covered_penalty, NOT_NEGATIVE)                                                                             \
-    REAL(union_penalty, FINITE)                                                                                     \
     COUNT(max_candidates, 1, 1000)
 RECORD_STRUCT(CandidateParams, CANDIDATE_PARAMS);
 RECORD(CandidateParams, CANDIDATE_PARAMS);
@@ -50,15 +44,9 @@ RECORD(CandidateParams, CANDIDATE_PARAMS);
     REAL(focal_y, POSITIVE)                                                                                         \
     REAL(principal_x, FINITE)                                                                                       \
     REAL(principal_y, FINITE)                                                                                       \
-    COUNT(image_height, 1, INT32_MAX)                                                                               \
-    REAL(border_px, FINITE)                                                                                         \
     REAL(along_sigma_px, POSITIVE)                                                                                  \
     REAL(oblique_sigma_px, POSITIVE)                                                                                \
     REAL(across_sigma_px, POSITIVE)                                                                                 \
-    REAL(plane_limit, FINITE)                                                                                       \
-    REAL(circle_limit, FINITE)                                                                                      \
-    REAL(dropped_end_penalty, FINITE)                                                                               \
-    REAL(unseen_penalty, FINITE)                                                                                    \
     REAL(max_tilt_rad, FINITE)                                                                                      \
     COUNT(min_chord_ends, 5, 12)                                                                                    \
     REAL(agreement, NOT_NEGATIVE)                                                                                   \
@@ -208,30 +196,28 @@ static int possible(const double light[3], const CandidateParams *params, Candid
     return 1;
 }
 
-/* True if centres on an unlabelled segment's line may be another laser's stripe on the body behind. */
+/* True if centres on an unlabelled segment's line may be another laser's stripe on the body behind: light planes are nearly
+   parallel, so that one face in five has another laser's stripe on its line. */
 static int may_be_other_laser(const Segment *segment, const Candidate *candidate, const Scene *scene) {
-    const CandidateParams *params = scene->candidates;
     double x = (candidate->x[0] + candidate->x[1]) / 2, y = (candidate->y[0] + candidate->y[1]) / 2;
-    double depth = 2 / (candidate->inverse_depth[0] + candidate->inverse_depth[1]);
+    double nearest = 1 / scene->candidates->max_depth_m, own = (candidate->inverse_depth[0] + candidate->inverse_depth[1]) / 2;
     for (int laser = 0; segment->laser < 0 && laser < scene->lasers; laser++) {
         const double *light = scene->plane[laser];
-        double behind = 1 / (light[0] * x + light[1] * y + light[2]) - depth;
-        if (laser != candidate->laser && scene->unlabelled >> laser & 1 && behind > params->min_behind_m &&
-            behind < params->max_behind_m)
-            return 1;
+        double inverse_depth = light[0] * x + light[1] * y + light[2];
+        if (laser != candidate->laser && scene->unlabelled >> laser & 1 && inverse_depth > nearest && inverse_depth < own) return 1;
     }
     return 0;
 }
 
 /* Merit of a segment: long, little scatter, no centres on its line beyond its ends. If those may be another laser's, a
-   group of three gets back what exceeds the penalty of such a coincidence. */
+   group of three gets back what exceeds the loss by such a coincidence. */
 static void rate(const Segment *segment, int is_union, const Scene *scene, Candidate *candidate) {
     const CandidateParams *params = scene->candidates;
     double share = beyond_ends(segment) / (beyond_ends(segment) + segment->centers);
     double scatter = segment->scatter / params->typical_scatter_px;
     double straight = 2 * log(fmin(segment->centers, params->max_counted_columns)) - 0.5 * scatter * scatter;
-    double spill = params->spill_penalty * share, excess = spill - params->coincidence_penalty;
-    candidate->merit = straight - spill - params->union_penalty * is_union;
+    double spill = params->spill_penalty * share, excess = spill - scene->ring->agreement;
+    candidate->merit = straight - spill - scene->ring->agreement * is_union;
     candidate->coincidence_bonus = excess > 0 && may_be_other_laser(segment, candidate, scene) ? excess : 0;
 }
 
@@ -285,22 +271,21 @@ static int hidden_beyond(const Segment *segment, int side, const Segment *other,
 
 /* Which ends are the stripe's own; returns the penalty of the others, infinite if the image's border cuts both off. */
 static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, Candidate *candidate) {
-    const CandidateParams *params = scene->candidates;
-    double penalty = 0;
+    int cut = 0, covered = 0;
     for (int e = 0; e < candidate->ends; e++) {
         const Segment *segment = &all[candidate->segment[e / 2]];
         candidate->own[e] = in_view(candidate->x[e], candidate->y[e], scene->ring);
         if (candidate->x[e] < scene->ring->left_x || candidate->x[e] > scene->ring->right_x)
-            penalty += params->cut_penalty; /* not above or below, where the stripe leaves the image along its whole length */
+            cut++; /* not above or below, where the stripe leaves the image along its whole length */
         for (size_t i = 0; candidate->own[e] && !(segment->laser < 0 && candidate->may_be_hidden) && i < pieces; i++)
             if (all[i].laser == segment->laser && hidden_beyond(segment, e % 2, &all[i], scene, scene->plane[candidate->laser])) {
                 candidate->may_be_hidden |= segment->laser < 0;
                 if (segment->laser < 0) continue;
                 candidate->own[e] = 0;
-                penalty += params->covered_penalty;
+                covered++;
             }
     }
-    return penalty < 2 * params->cut_penalty ? penalty : INFINITY;
+    return cut < 2 ? scene->ring->agreement * (cut + covered) : INFINITY;
 }
 
 /* True if a segment is of that laser, or may be. */
@@ -412,11 +397,10 @@ static double unseen_lasers_penalty(const Candidate *const member[], int size, c
         for (int i = 0; i < size; i++) in_group |= member[i]->laser == laser;
         const double *light = scene->plane[laser];
         double y = -((plane[0] - light[0]) * x + plane[2] - light[2]) / (plane[1] - light[1]);
-        double row = y * params->focal_y + params->principal_y;
-        if (in_group || !(row > params->border_px && row < params->image_height - params->border_px)) continue;
+        if (in_group || !(y > params->top_y && y < params->bottom_y)) continue;
         if (circles && !crosses(light, flat, circles)) continue;
         int elsewhere = size > 1 && is_seen_elsewhere(laser, x, plane, length * params->focal_x, scene);
-        penalty += elsewhere ? scene->candidates->covered_penalty : params->unseen_penalty;
+        penalty += params->agreement * (elsewhere ? 1 : 2); /* of both ends */
     }
     return penalty;
 }
@@ -482,31 +466,33 @@ static double circle_cost(const Candidate *const member[], int size, const doubl
     const RingParams *params = scene->ring;
     double sigma = params->along_sigma_px * flat_ends(member, size, plane, end, &flat) / params->focal_x;
     double best = arcs_cost(end, 2 * size, sigma);
-    if (size < 3 || best < params->dropped_end_penalty) return best;
+    const double dropped = params->agreement + log(2 * size); /* its agreement, and the choice of one of them */
+    if (size < 3 || best < dropped) return best;
     for (int e = 0; e < 2 * size; e++) {
         if (!end[e].used) continue;
         end[e].used = 0;
-        best = fmin(best, arcs_cost(end, 2 * size, sigma) + params->dropped_end_penalty);
+        best = fmin(best, arcs_cost(end, 2 * size, sigma) + dropped);
         end[e].used = 1;
     }
     return best;
 }
 
-/* Score of a group; minus infinity if it is impossible or not above `minimum`. */
+/* Score of a group; minus infinity if it is impossible, if its ends agree with a plane or with circles no better than by
+   chance, or if it is not above `minimum`. */
 static double group_score(const Candidate *const member[], int size, const Scene *scene, double minimum) {
-    const RingParams *params = scene->ring;
+    const double limit = scene->ring->agreement * 2 * size;
     double plane[3] = {0}, merit = 0;
     for (int i = 0; i < size; i++) merit += member[i]->merit + (size == MAX_MEMBERS ? member[i]->coincidence_bonus : 0);
     if (!(merit > minimum)) return -INFINITY;
     double cost = plane_cost(member, size, plane);
-    if (!(cost < params->plane_limit * size && merit - cost > minimum)) return -INFINITY;
+    if (!(cost < limit && merit - cost > minimum)) return -INFINITY;
     double tilt = size == 1 ? 0 : atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
-    if (tilt > params->max_tilt_rad) return -INFINITY;
+    if (tilt > scene->ring->max_tilt_rad) return -INFINITY;
     double oblique = 0.5 * (tilt / 0.5) * (tilt / 0.5);
     if (!(merit - cost - oblique > minimum)) return -INFINITY;
     if (size > 1) {
         double circle = circle_cost(member, size, plane, scene);
-        if (!(circle < params->circle_limit * size)) return -INFINITY;
+        if (!(circle < limit)) return -INFINITY;
         cost += circle;
     }
     cost += unseen_lasers_penalty(member, size, plane, NULL, NULL, scene);
@@ -515,8 +501,8 @@ static double group_score(const Candidate *const member[], int size, const Scene
 
 /* Chords: stripes across both arcs of a ring */
 
-/* Half the chi-square of two concentric circles |P|^2 + b x + c y + d = 0 through the used ends; infinite if these are not on
-   two edges, or if a piece between two ends is not on the face between the circles. The equation is linear and, around the
+/* Half the chi-square of two concentric circles |P|^2 + b x + c y + d = 0 (3.13) through the used ends; infinite if these
+   are not on two edges, or if a piece between two ends is not on the face between the circles. The equation is linear and, around the
    whole circle, unbiased. A single stripe leaves its distance from the centre open, which is taken for zero: the circles are
    the smallest ones. `sine` receives those of the angles at which the stripes cross their edges. */
 static double circles_cost(const ArcPoint *end, int ends, int stripes, double sigma, Circles *circles, double *sine) {
@@ -621,15 +607,15 @@ static double chord_score(const Candidate *const member[], int size, const Scene
         ends += member[i]->ends;
     }
     double cost = plane_cost(member, size, plane), tilt = atan2(hypot(plane[0], plane[1]), fabs(plane[2]));
-    if (!(cost < params->plane_limit * ends / 2) || tilt > params->max_tilt_rad) return -INFINITY;
+    if (!(cost < params->agreement * ends) || tilt > params->max_tilt_rad) return -INFINITY;
     double sigma_px = size == 1 ? params->oblique_sigma_px : params->along_sigma_px;
     double sigma = sigma_px * flat_ends(member, size, plane, end, &flat) / params->focal_x;
     double circles = circles_cost(end, ends, size, sigma, &fitted, sine);
-    if (!(circles < params->circle_limit * ends / 2)) return -INFINITY;
+    if (!(circles < params->agreement * ends)) return -INFINITY;
     const ArcPoint *own_end = end;
     for (int i = 0; i < size; own_end += member[i++]->ends) /* the two pieces are on both sides of the centre */
         if (member[i]->ends == 4 && !(own_end[1].x < fitted.x && fitted.x < own_end[2].x)) return -INFINITY;
-    if (ends == 8 && size == 2 && may_be_straight(end, sigma, params->circle_limit)) return -INFINITY;
+    if (ends == 8 && size == 2 && may_be_straight(end, sigma, 2 * params->agreement)) return -INFINITY;
     cost += circles + unseen_lasers_penalty(member, size, plane, &flat, &fitted, scene);
     return merit - cost - 0.5 * (tilt / 0.5) * (tilt / 0.5);
 }
@@ -740,7 +726,7 @@ static void visit(Search *search, const Candidate *const member[], const int32_t
 
 /* True if the first segments of a group may lie on one plane; further segments never lower the cost. */
 static int on_one_plane(const Candidate *const member[], int count, const Search *search) {
-    double plane[3], limit = search->scene->ring->plane_limit * search->size * (search->chords ? 2 : 1);
+    double plane[3], limit = search->scene->ring->agreement * search->size * (search->chords ? 4 : 2);
     return count < 2 || plane_cost(member, count, plane) < limit;
 }
 

@@ -19,8 +19,7 @@
     REAL(joined_px, FINITE)                                                                                         \
     REAL(short_series, FINITE)                                                                                      \
     REAL(on_line_px, FINITE)                                                                                        \
-    COUNT(min_columns, 4, INT32_MAX)                                                                                \
-    COUNT(max_lag, 0, INT32_MAX)
+    COUNT(min_columns, 4, INT32_MAX)
 RECORD_STRUCT(SegmentParams, SEGMENT_PARAMS);
 RECORD(SegmentParams, SEGMENT_PARAMS);
 TABLE(Segment, SEGMENT_COLUMNS);
@@ -81,7 +80,7 @@ static double correlation_columns(double *residual, size_t n, const SegmentParam
     mean /= (double)n;
     for (size_t i = 0; i < n; i++) residual[i] -= mean;
     double variance = fmax(sum_of_lagged_products(residual, n, 0), 1e-12);
-    for (size_t lag = 1; (double)lag < params->max_lag && lag < n / 3; lag++) {
+    for (size_t lag = 1; lag < n / 3; lag++) {
         double correlation = sum_of_lagged_products(residual, n, lag) / variance;
         if (!(correlation > 0)) break;
         columns += 2 * correlation;
