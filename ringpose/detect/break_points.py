@@ -136,6 +136,10 @@ def _on_arc(
         if image.left_out is not None:
             hidden |= beside_left_out(ends.position_px, image, image.left_out, KINK_LEVEL)
     flags = np.where(beside, int(BreakPointFlag.BESIDE_OCCLUDER), 0) | np.where(hidden, int(BreakPointFlag.UNCLEAR), 0)
+    for laser, side in face.covered:
+        hidden[laser, side] = True
+        flags[laser, side] |= int(BreakPointFlag.OCCLUDED)
+        flags[laser] |= int(BreakPointFlag.INTERRUPTED)
     several = ~(face.segments[:, None] == segments).all(axis=2).any(axis=1)  # of them on one line
     flags[np.array(face.lasers)[several | (_dark_columns(face.segments, rig) >= MIN_COLUMNS)]] |= int(
         BreakPointFlag.INTERRUPTED

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -90,6 +91,8 @@ class Face:
     """Another assignment explains the same segments about as well."""
     behind: bool = False
     """Another segment is on a flat surface in front of these, which may be the face."""
+    covered: frozenset[tuple[int, int]] = frozenset()
+    """Lasers and ends (0 left, 1 right) at which something that stands on the face begins: they are on no edge."""
     displaced: tuple[int, ...] = ()
     """Lasers whose segment on the ring is not in its plane (`_beside_band`, `displaced_lasers`)."""
     outer_end: int | None = None
@@ -122,6 +125,8 @@ class Group(NamedTuple):
     """Log likelihood up to a constant; minus infinity if no group is possible."""
     rival: float
     """Best score of the same segments with another assignment to lasers."""
+    covered: tuple[int, ...] = ()
+    """For each segment the bits of its ends beyond which a nearer surface hides the plane: 1 left, 2 right."""
 
 
 class Chord(NamedTuple):
@@ -206,10 +211,11 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
         ambiguous=ambiguous(best.score, best.rival, len(best.segments)),
         displaced=() if beside is None else (beside,),
     )
+    face, standing = _interrupted(face, best.covered, segments, rig)
     if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
         face = _with_further_lasers(face, every, lasers, rig)
-    face = _foremost(face, segments, rig)
-    return replace(face, displaced=displaced_lasers(face, segments, lasers, rig))
+    face = _foremost(face, segments[~standing], rig)
+    return replace(face, displaced=displaced_lasers(face, segments[~standing], lasers, rig))
 
 
 def _with_further_lasers(
@@ -366,8 +372,9 @@ def _lengths_consistent(segments: Float64[Array, "segment column=12"], lasers: S
 def _without(group: Group, laser: int) -> Group:
     """The group without the segment of a laser, with the scores of all of them."""
     kept = [number for number, each in enumerate(group.lasers) if each != laser]
-    lasers, segments = (tuple(each[number] for number in kept) for each in (group.lasers, group.segments))
-    return group._replace(lasers=lasers, segments=segments)
+    columns = group.lasers, group.segments, group.covered
+    lasers, segments, covered = (tuple(each[number] for number in kept) for each in columns)
+    return group._replace(lasers=lasers, segments=segments, covered=covered)
 
 
 def _beside_band(
@@ -454,6 +461,37 @@ def _of_laser(
 ) -> Float64[Array, "own column=12"]:
     """The segments that may be of a laser; `lasers`: those that an unlabelled segment may belong to."""
     return segments[(segments[:, LASER] == laser) | ((segments[:, LASER] == UNLABELLED) & (laser in lasers))]
+
+
+def _interrupted(
+    face: Face, covered: Sequence[int], segments: Float64[Array, "segment column=12"], rig: Rig
+) -> tuple[Face, Bool[Array, "segment"]]:
+    """The face with its ends at what stands on it, and which of the segments are on that.
+
+    Where a nearer surface begins at an end of a stripe, and reaches no farther from the stripe's other end than the
+    band that an unhidden stripe shows, it stands on the face. A ring in front of it would be lit by that laser, too.
+    """
+    standing = np.zeros(len(segments), dtype=bool)
+    if len(face.lasers) < 2 or not any(covered) or all(covered):
+        return face, standing
+    plane = _plane_of(face.segments, face.lasers, rig)
+    band_m = ALIKE * max(each for each, ends in zip(plane.lengths_m, covered, strict=True) if not ends)
+    at_ends = set()
+    for (number, laser), side in product(enumerate(face.lasers), range(2)):
+        if not covered[number] >> side & 1:
+            continue
+        nearer = np.flatnonzero(segments[:, LASER] == laser)
+        ends_m = _ends_m(segments[nearer], [laser] * len(nearer), rig)
+        off_m = (ends_m - plane.origin_m) @ plane.normal
+        reach_m = ends_m[:, side] - plane.ends_m[number, 1 - side]
+        reach_m = np.linalg.norm(reach_m - np.outer(reach_m @ plane.normal, plane.normal), axis=1)
+        on_face = (off_m.min(axis=1) > 0.0) & (reach_m > plane.lengths_m[number]) & (reach_m < band_m)
+        beyond = segments[nearer][:, MIDDLE_X] > face.segments[number, X_END if side else X_START]
+        on_face &= beyond if side else ~beyond
+        standing[nearer[on_face]] = True
+        if on_face.any():
+            at_ends.add((laser, side))
+    return replace(face, covered=frozenset(at_ends)), standing
 
 
 def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Rig) -> Face:

@@ -121,7 +121,10 @@ RULES = (
     FlagRule(
         flag=PoseFlag.POINT_REJECTED,
         findings=Finding.WRONG_POINT | Finding.WRONG_ENDS | Finding.POINT_UNUSED,
-        meaning="A break point contradicts the others and was rejected; the reason and `rejected` name it.",
+        meaning=(
+            "A break point contradicts the others and was rejected; the reason and `rejected` name it. Or something "
+            "that stands on the face hides it; the reason names the stripe."
+        ),
         remedy="Look for what hides the ring's edge or shines there.",
     ),
     FlagRule(
@@ -403,7 +406,8 @@ def seen_lasers(
             findings |= _why_missing(break_points.flags[laser, missing].tolist())
             whole = not (break_points.flags[laser] & int(BreakPointFlag.INTERRUPTED)).any()
             contribution = LaserState.USED if whole else LaserState.INTERRUPTED
-            state = LaserState.PARTLY if missing.any() or mine else contribution
+            covered = not whole and bool((break_points.flags[laser, missing] & int(BreakPointFlag.OCCLUDED)).all())
+            state = LaserState.PARTLY if mine or (missing.any() and not covered) else contribution
         elif mine or break_points.of_lasers[laser]:
             state, findings = LaserState.REJECTED, findings | Finding.STRIPE_UNUSED
         elif share[laser] >= SEEN_SHARE:
@@ -518,6 +522,9 @@ def contradictions(result: PoseResult, rejected: Sequence[Rejection]) -> str | N
     if edges_missing(rejected):
         remarks.append(sentences(Finding.NO_EDGES))
     remarks += [sentences(Finding.STRIPE_NOT_FOUND, laser=name) for name in missing]
+    if PoseFlag.POINT_REJECTED in result.flags:
+        interrupted = [name for name, state in result.lasers.items() if state is LaserState.INTERRUPTED]
+        remarks += [f"the stripe of laser {name} is interrupted" for name in interrupted]
     of_points = (Finding.BLUNT, Finding.POINT_SATURATED, Finding.POINT_CUT_OFF)
     remarks += [sentences(finding) for finding in of_points if flags_of(finding) in result.flags]
     return "; ".join(filter(None, remarks)) or None

@@ -43,8 +43,8 @@ class BreakPointFlag(IntFlag):
     BESIDE_OCCLUDER = 128
     """A stripe of the same laser on a surface in front of the face begins beside the end, which may be occluded."""
     INTERRUPTED = 256
-    """The stripe has a gap of 10 columns or more between its ends: something stands on the face, over it, or is missing
-    from it."""
+    """The stripe has a gap of 10 columns or more between its ends, or an end at something that stands on the face:
+    something stands on it, over it, or is missing from it."""
 
 
 class NoBreakPoints(Enum):

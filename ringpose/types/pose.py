@@ -428,7 +428,8 @@ class LaserState(StrEnum):
 
     USED = "used"
     INTERRUPTED = "interrupted"
-    """Used, with both break points; something stands on the face or over it, or a piece of the face is missing."""
+    """Used, with the break points that are not hidden; something stands on the face or over it, or a piece of the face
+    is missing."""
     PARTLY = "partly"
     """One or both of its break points that should be in view were rejected or not found."""
     REJECTED = "rejected"
@@ -561,9 +562,9 @@ class PoseLine:
         Mapping[str, Annotated[LaserState, Key(grows=True)]],
         Key(
             "For each laser, by name, what its stripe contributed: `used`; `interrupted` (used, with a gap between its "
-            "ends, as by a bolt or a cable); `partly` (a break point that should be in "
-            "view was rejected or not found); `rejected`; `not_seen` (the stripe should be in view but was not found); "
-            "`out_of_view` (by rig and ring it lies outside the image, which is no fault).",
+            "ends, as by a bolt or a cable, or with an end at something that stands on the face); `partly` (a break "
+            "point that should be in view was rejected or not found); `rejected`; `not_seen` (the stripe should be in "
+            "view but was not found); `out_of_view` (by rig and ring it lies outside the image, which is no fault).",
         ),
     ] = field(default_factory=dict)
     rejected: Annotated[

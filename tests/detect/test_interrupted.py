@@ -1,4 +1,7 @@
-"""Rendered rings with bolts, a gap, or a cable over one stripe: two stripes that nothing interrupts are a pose."""
+"""Rendered rings with bolts, a gap, or a cable over one stripe: two stripes that nothing interrupts are a pose.
+
+Of a face of which a part is raised under two stripes, the third stripe shows the whole band.
+"""
 
 from dataclasses import replace
 
@@ -8,6 +11,7 @@ import pytest
 from ringpose.files.images.shots import read_shot
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
+from ringpose.geometry.rays import intersect, undistorted_rays
 from ringpose.measure.stream import Setup
 from ringpose.types.pose import LaserState
 
@@ -63,3 +67,43 @@ def test_a_dark_strip_across_the_face_is_named_if_it_is_as_long_as_a_stripe_must
     assert line.lasers == {"left": LaserState.USED, "middle": state, "right": LaserState.USED}
     off_m = line.pose.center_m - truth.center_m
     assert off_m @ np.linalg.solve(line.pose.covariance_center_m2, off_m) < 16.3
+
+
+def raised(shot, rig, truth, lasers, edge, height_m):
+    """The shot with the third of the band at an edge raised under some stripes, each with a frame of its own."""
+    images = shot.images.copy()
+    for laser in lasers:
+        near, far = truth.break_points_px[laser, [edge, 1 - edge]]
+        foot_px = near + (far - near) / 3
+        rows = np.linspace(-40.0, 40.0, 801)
+        pixels = np.stack([np.full_like(rows, near[0]), near[1] + rows], axis=-1)
+        light = rig.lasers.normal[[laser] * len(rows)], rig.lasers.distance_m[[laser] * len(rows)]
+        heights_m = (intersect(undistorted_rays(pixels, rig.camera), *light) - truth.center_m) @ truth.normal
+        step = round(rows[np.argmin(np.abs(heights_m - height_m))])
+        frame, dark = shot.lasers.tolist().index(1 << laser), shot.images[0].astype(np.int64)
+        (left, first), (right, last) = sorted([near.tolist(), far.tolist()])
+        for column in range(*sorted((round(near[0]), round(foot_px[0])))):
+            row = round(np.interp(column, [left, right], [first, last]))
+            stripe = slice(row - 8, row + 9)
+            light_dn = images[frame, stripe, column] - dark[stripe, column]
+            images[frame, stripe, column] = dark[stripe, column]
+            stripe = slice(row - 8 + step, row + 9 + step)
+            images[frame, stripe, column] = np.clip(dark[stripe, column] + light_dn, 0, 255)
+    return replace(shot, images=images)
+
+
+@pytest.mark.parametrize("edge", [0, 1])
+@pytest.mark.parametrize(("lasers", "height_m"), [((0, 1), 0.02), ((1, 2), 0.02), ((0, 2), 0.01)])
+def test_what_stands_on_a_third_of_the_band_under_two_stripes_is_not_the_face(shared_data, lasers, height_m, edge):
+    folder, name = shared_data / "rendered" / "rig_b", "B_z0500_p00_dim"
+    (truth,) = (each for each in read_truths(folder / "truth.jsonl") if each.shot == name)
+    rig, shot = read_rig(folder / "rig.yaml"), read_shot(folder / "shots" / f"{name}.npz")
+    switched = replace(shot, **{key: getattr(shot, key)[:4] for key in ("images", "lasers", "stamp_s", "exposure_s")})
+
+    line = Setup(rig=rig).measure(raised(switched, rig, truth, lasers, edge, height_m))
+
+    assert line.status == "degraded"
+    assert {line.lasers[rig.lasers.names[laser]] for laser in lasers} == {LaserState.INTERRUPTED}
+    assert all(f"the stripe of laser {rig.lasers.names[laser]} is interrupted" in line.reason for laser in lasers)
+    off_m = line.pose.center_m - truth.center_m
+    assert off_m @ np.linalg.solve(line.pose.covariance_center_m2, off_m) < 16.3  # one in a thousand

@@ -94,15 +94,19 @@ typedef struct {
 
 static double beyond_ends(const Segment *segment) { return segment->before_start + segment->after_end; }
 
+/* True if two segments may be on one line at this place. */
+static int meet_at(double x, const Segment *first, const Segment *second, const UnionParams *params) {
+    double separation = fabs(line_y(first, x) - line_y(second, x));
+    if (!(separation < params->max_separation_px)) return 0;
+    double sigma = hypot(line_sigma(first, x, middle_sigma(first, params->fit_dof, params->min_columns)),
+                         line_sigma(second, x, middle_sigma(second, params->fit_dof, params->min_columns)));
+    return separation < params->separation_px + params->separation_sigmas * sigma;
+}
+
 /* True if the second segment, to the right, may lie on the line of the first. */
 static int on_one_line(const Segment *first, const Segment *second, const UnionParams *params) {
     double gap = second->x_start - first->x_end;
-    if (first->laser != second->laser || !(gap > 0)) return 0;
-    double middle = first->x_end + gap / 2, separation = fabs(line_y(first, middle) - line_y(second, middle));
-    if (!(separation < params->max_separation_px)) return 0;
-    double sigma = hypot(line_sigma(first, middle, middle_sigma(first, params->fit_dof, params->min_columns)),
-                         line_sigma(second, middle, middle_sigma(second, params->fit_dof, params->min_columns)));
-    return separation < params->separation_px + params->separation_sigmas * sigma;
+    return first->laser == second->laser && gap > 0 && meet_at(first->x_end + gap / 2, first, second, params);
 }
 
 /* True if, in addition, the gap between them is short. */
@@ -264,7 +268,7 @@ static int hidden_beyond(const Segment *segment, int side, const Segment *other,
     for (int i = 0; i < 2; i++)
         depth[i] = 1 / (light[0] * (near - ring->principal_x) / ring->focal_x +
                         light[1] * (at[i] - ring->principal_y) / ring->focal_y + light[2]);
-    if (!(depth[1] > 0 && depth[1] < depth[0] && fabs(at[1] - at[0]) > adjacent)) return 0;
+    if (!(depth[1] > 0 && depth[1] < depth[0]) || meet_at(near, segment, other, scene->unions)) return 0;
     double foot = ring->principal_x + (near - ring->principal_x) * depth[1] / depth[0];
     return end > fmin(near, foot) - adjacent && end < fmax(near, foot) + adjacent;
 }
@@ -823,16 +827,21 @@ static int find(const Segment *segment, size_t count, const Scene *scene, Found 
     return 1;
 }
 
-/* Lasers and indices of a group's segments, its score, and that of the runner-up. */
-static PyObject *group(const Found *found, int size) {
+/* Lasers and indices of a group's segments, its score, that of the runner-up, and at which ends of each a nearer surface hides
+   what is beyond: 1 for the left one, 2 for the right one, 3 for both. */
+static PyObject *group(const Found *found, int size, const Scene *scene) {
     const Best *best = &found->best[size - 1];
-    PyObject *lasers = PyTuple_New(size), *segments = PyTuple_New(size);
-    for (int i = 0; lasers && segments && i < size; i++) {
+    PyObject *lasers = PyTuple_New(size), *segments = PyTuple_New(size), *covered = PyTuple_New(size);
+    for (int i = 0; lasers && segments && covered && i < size; i++) {
         const Candidate *candidate = best->index[0] < 0 ? NULL : &found->candidate[best->index[i]];
+        int ends = 0;
+        for (int e = 0; candidate && e < 2; e++)
+            ends |= (!candidate->own[e] && in_view(candidate->x[e], candidate->y[e], scene->ring)) << e;
         PyTuple_SetItem(lasers, i, PyLong_FromLong(candidate ? candidate->laser : -1));
         PyTuple_SetItem(segments, i, PyLong_FromLong(candidate ? candidate->segment[0] : -1));
+        PyTuple_SetItem(covered, i, PyLong_FromLong(ends));
     }
-    return Py_BuildValue("(NNdd)", lasers, segments, best->score, best->runner_up);
+    return Py_BuildValue("(NNddN)", lasers, segments, best->score, best->runner_up, covered);
 }
 
 /* The score of the best group of chords and that of the runner-up, and for each chord its laser, its segments (the second is -1 if there is none), the
@@ -882,7 +891,9 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
     Py_END_ALLOW_THREADS
     PyObject *bytes = list_bytes(done, &found.segments);
     PyObject *result =
-        bytes ? Py_BuildValue("(N(NNN)N)", bytes, group(&found, 1), group(&found, 2), group(&found, 3), chord_group(&found, &scene)) : NULL;
+        bytes ? Py_BuildValue("(N(NNN)N)", bytes, group(&found, 1, &scene), group(&found, 2, &scene), group(&found, 3, &scene),
+                              chord_group(&found, &scene))
+              : NULL;
     free(found.candidate);
     free(found.chord);
     return close_arguments(&a, result);
