@@ -94,35 +94,42 @@ def table(rows: Sequence[Sequence[str]], left: int = 1) -> Iterator[str]:
 # Captures
 
 
-def capture_block(output: Path) -> list[str]:
-    """The table of the preset `capture`: a row for each rate of the target, then for each light and base."""
-    folder = output / "capture"
-    command = ["bench", "study", "capture", "--output", str(folder), "--count", str(COUNTS["capture"])]
-    if (status := ringpose(command)) not in (0, 3):
-        raise SystemExit(status)
-    return capture_rows(list(read_captures(folder / "captures.jsonl")))
+def capture_block(preset: str, groups: Sequence[Sequence[str]]) -> Callable[[Path], list[str]]:
+    """The block that makes the table of a preset of captures: a row for each value of single or combined groups."""
+
+    def block(output: Path) -> list[str]:
+        folder, count = output / preset, COUNTS.get(preset)
+        words = [] if count is None else ["--count", str(count)]
+        if (status := ringpose(["bench", "study", preset, "--output", str(folder), *words])) not in (0, 3):
+            raise SystemExit(status)
+        return capture_rows(list(read_captures(folder / "captures.jsonl")), groups)
+
+    return block
 
 
-def capture_rows(lines: Sequence[CaptureLine]) -> list[str]:
-    """The rows by single groups, and of all runs."""
-    headings = ["runs", "captured", "missed", "open", "at least %", "error mm", "tilt deg", "time s"]
-    rows = [["", *headings]]
-    for group in ("target_rate_rad_s", "light", "floating_base", "lost_share", "latency_s", ""):
-        cells = statistics_of(lines, (group,) if group else ())
-        for (_, key), each in sorted(cells.items(), key=lambda item: len(item[0][1]) and str(item[0][1])):
-            rows.append([capture_heading(group, *key), *capture_cells(each)])
+def capture_rows(lines: Sequence[CaptureLine], groups: Sequence[Sequence[str]]) -> list[str]:
+    """The rows by groups, and of all runs."""
+    headings = ["runs", "captured", "missed", "open", "at least %", "error mm", "tilt deg", "time s", "claims"]
+    rows = [["", *headings, "missed (most)"]]
+    for by in (*groups, ()):
+        for (_, key), each in sorted(statistics_of(lines, by).items(), key=lambda item: item[0]):
+            name = ", ".join(map(capture_heading, by, key)) or "all"
+            rows.append([name, *capture_cells(each)])
     return list(table(rows))
 
 
-def capture_heading(group: str, text: str = "") -> str:
+def capture_heading(group: str, text: str) -> str:
     """The name of a row."""
-    names = {"floating_base": {"true": "floating base", "false": "fixed base"}, "": {"": "all"}}
+    names = {"floating_base": {"true": "floating base", "false": "fixed base"}}
     ends = {"lost_share": "shots lost: ", "latency_s": "latency (s): "}
     return names.get(group, {}).get(text) or f"{ends.get(group, '')}{text}"
 
 
 def capture_cells(each: CaptureStatistics) -> list[str]:
-    """The figures of a row; errors and times are medians of the closings."""
+    """The figures of a row; errors and times are medians of the closings.
+
+    Last the closings with a claim above 0.95, how many of them missed, and how many may by chance.
+    """
     counts = (CaptureOutcome.SUCCESS, CaptureOutcome.MISS, CaptureOutcome.NO_CLOSING)
     return [
         str(len(each.outcomes)),
@@ -131,6 +138,8 @@ def capture_cells(each: CaptureStatistics) -> list[str]:
         number(1e3 * float(np.median(each.radial_m)) if each.radial_m else nan),
         number(degrees(np.median(each.tilt_rad)) if each.tilt_rad else nan),
         number(float(np.median(each.closed_s)) if each.closed_s else nan),
+        str(len(each.claims)),
+        f"{each.claimed_misses} ({each.most_misses})",
     ]
 
 
@@ -351,7 +360,10 @@ BLOCKS: dict[str, Callable[[Path], list[str]]] = {
     "times": times_block,
     "chart": distance_chart,
     "detectors": detectors_block,
-    "capture": capture_block,
+    "capture-lights": capture_block("capture-lights", [("light", "floating_base")]),
+    "capture": capture_block(
+        "capture", [("target_rate_rad_s",), ("light",), ("floating_base",), ("lost_share",), ("latency_s",)]
+    ),
     **{preset: study_block(preset) for preset in STUDIES},
     "integrity": integrity_block,
 }

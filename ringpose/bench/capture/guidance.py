@@ -2,7 +2,8 @@
 
 The gripper is led along the ring's normal: towards the point of the band's middle that is nearest to it, at a distance
 that shrinks while it is aligned. It follows the predicted ring at the predicted velocity, and corrects what is left in
-proportion. It closes only by a recent, valid line with protection levels of grasp point and normal, and only if the
+proportion. Where no measurement comes, it goes back to the distance from which it has seen the ring first, and waits
+there. It closes only by a recent, valid line with protection levels of grasp point and normal, and only if the
 probability that the ring will be within the gripper's window, when the fingers meet it, is high enough. At the risk of
 a level, 1e-5, the window of a gripper can be smaller than the level of a good track; the probability decides there.
 """
@@ -14,16 +15,17 @@ import numpy as np
 
 from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import cross, rotation_vector, tilt_basis
-from ringpose.simulate.robot import Pose, Twist
+from ringpose.simulate.robot import Pose, Twist, reacted
 from ringpose.track.explanations import Gripper
 from ringpose.track.lines import capture_probability
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.capture import FloatingBase
 from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.protection import Protection
 from ringpose.types.track import TrackLine, Validity
 
 MAX_AGE_S = 0.5
-"""Age of the newest measurement up to which the gripper comes nearer or closes; twice as old, it may hit the target."""
+"""Age of the newest measurement up to which the gripper comes nearer or closes; twice as old, the target may hit it."""
 
 GAIN_PER_S = 1.5
 """Correction of an error per time; with a delay of 0.1 s it is well damped up to three times this value."""
@@ -196,6 +198,8 @@ class Guided:
     closing_s: float
     """Time from the command to close until the fingers meet the ring."""
     min_probability: float
+    base: FloatingBase | None = None
+    """The base if it floats freely: lines are in its frame, which turns and moves as the arm does."""
     position_sd_m: float = 0.0
     """Standard deviation of the reported position of the tool along each axis ..."""
     rotation_sd_rad: float = 0.0
@@ -209,10 +213,17 @@ class Guidance:
         self._guided = guided
         self._distance_m = nan
         """Wanted distance of the gripper from the band along the normal; NaN until the ring was seen."""
+        self._farthest_m = nan
+        """The first one, from which the ring was seen."""
         self._last = Twist()
+        self._ticks_s: list[float] = []
+        self._places_m: list[Float64[Array, "xyz=3"]] = []
+        """Where the tool was reported to be at each tick."""
 
     def step(self, now_s: float, period_s: float, base_from_tool: Pose, ring: GuidedRing | None) -> Decision:
         """The decision at a tick, by the reported pose of the tool and the newest ring."""
+        self._ticks_s.append(now_s)
+        self._places_m.append(base_from_tool.position_m)
         if ring is None:
             self._last = Twist()
             return Decision(why="no ring is seen")
@@ -222,14 +233,20 @@ class Guidance:
         band_m = then.nearest_m(gripper.position_m)
         if isnan(self._distance_m):
             self._distance_m = max(float((gripper.position_m - band_m) @ then.normal), 0.0)
+            self._farthest_m = self._distance_m
         wanted = _wanted(then, gripper, band_m + self._distance_m * then.normal)
         error_m, turn = wanted.position_m - gripper.position_m, rotation_vector(wanted.rotation @ gripper.rotation.T)
         across_m = float(np.linalg.norm(error_m - (error_m @ then.normal) * then.normal))
-        why = ring.obstacle
-        if now_s - ring.measured_s > MAX_AGE_S:
-            why = f"the newest measurement is {now_s - ring.measured_s:.2f} s old"
+        why, age_s = ring.obstacle, now_s - ring.measured_s
+        if age_s > MAX_AGE_S:
+            why = f"the newest measurement is {age_s:.2f} s old"
         nearer_m_s = 0.0
-        if not why and across_m < ALIGNED_M + ALIGNED_SHARE * self._distance_m:
+        if age_s > 2.0 * MAX_AGE_S:
+            if self._distance_m >= self._farthest_m:
+                self._last = Twist()
+                return Decision(why=f"{why}: the gripper has gone back and waits")
+            nearer_m_s = -APPROACH_M_S
+        elif not why and across_m < ALIGNED_M + ALIGNED_SHARE * self._distance_m:
             nearer_m_s = min(APPROACH_M_S, LAST_M_S + self._distance_m / APPROACH_S, self._distance_m / period_s)
         self._distance_m -= nearer_m_s * period_s
         rate_rad_s = then.rate_rad_s + GAIN_PER_S * turn
@@ -244,8 +261,8 @@ class Guidance:
     def _closing(self, now_s: float, base_from_tool: Pose, ring: GuidedRing, why: str) -> Decision:
         """Whether to close, by where gripper and ring will be when the fingers meet it."""
         guided, meets_s = self._guided, now_s + self._guided.closing_s
-        gripper = _moved(base_from_tool, self._last, guided.closing_s) @ guided.tool_from_gripper
-        then = ring.at(meets_s)
+        tool = _moved(base_from_tool, self._last, guided.closing_s)
+        gripper, then = tool @ guided.tool_from_gripper, ring.at(meets_s)
         if not isfinite(then.center_m[0]):
             return Decision(twist=self._last, why=why or "the ring's centre is not determined")
         off = _offsets(then, gripper)
@@ -256,10 +273,36 @@ class Guidance:
             return Decision(twist=self._last, closes=not why, why=why)
         covariance = then.covariance_at(meets_s, gripper.position_m)
         covariance = covariance + np.diag([guided.position_sd_m**2] * 2 + [guided.rotation_sd_rad**2] * 2)
+        if guided.base is not None:
+            reaction = self._reaction(guided.base, then, gripper, tool.position_m, meets_s)
+            covariance = covariance + np.outer(reaction, reaction)
         probability = capture_probability(covariance, guided.gripper.radial_m, guided.gripper.tilt_rad, off)
         if probability < guided.min_probability:
             why = why or f"the probability of a capture is {probability:.3f}"
         return Decision(twist=self._last, closes=not why, probability=probability, why=why)
+
+    def _reaction(
+        self, base: FloatingBase, then: GuidedRing, gripper: Pose, there_m: Float64[Array, "xyz=3"], meets_s: float
+    ) -> Float64[Array, "4"]:
+        """What a floating base adds to the errors of the predicted ring: outward, along the normal, tilts.
+
+        The track's velocities contain the motion of the base when the newest measurement was made, and are believed
+        until the fingers meet the ring. Meanwhile the arm slows down or turns aside, and by momentum conservation the
+        rate of the base changes with the tool's velocity. What is neglected is its reaction to the way from where the
+        tool would be at its earlier velocity to where it will be, `there_m`.
+        """
+        measured_s = min(max(then.measured_s, self._ticks_s[0]), self._ticks_s[-1])
+        after = min(max(int(np.searchsorted(self._ticks_s, measured_s)), 1), len(self._ticks_s) - 1)
+        if after < 1:  # the first tick: the robot is at rest
+            return np.zeros(4)
+        before_s, before_m = self._ticks_s[after - 1], self._places_m[after - 1]
+        velocity_m_s = (self._places_m[after] - before_m) / (self._ticks_s[after] - before_s)
+        expected_m = before_m + velocity_m_s * (meets_s - before_s)
+        from_base = reacted(base, Pose(), expected_m, there_m).inverse
+        band_m = then.nearest_m(gripper.position_m)
+        moved_m, turned = from_base.at(band_m) - band_m, from_base.rotation @ then.normal - then.normal
+        outward = then.outward(gripper.position_m)
+        return np.array([moved_m @ outward, moved_m @ then.normal, *(tilt_basis(then.normal) @ turned)])
 
 
 def _moved(pose: Pose, twist: Twist, for_s: float) -> Pose:

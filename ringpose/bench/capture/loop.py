@@ -90,6 +90,7 @@ def guided_by(world: World) -> Guided:
         delay_s=loop.arm.delay_s + 0.5 * loop.arm.jitter_s,
         closing_s=loop.closing_s,
         min_probability=loop.min_probability,
+        base=world.robot.base,
         position_sd_m=mount.robot_translation_sd_m,
         rotation_sd_rad=mount.robot_rotation_sd_rad,
     )

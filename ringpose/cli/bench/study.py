@@ -29,8 +29,8 @@ def study(
         typer.Argument(
             metavar="STUDY",
             help="A study.yaml, or a preset: "
-            "paper-synthetic, paper-lights, calibrated, tumbling, capture, violations, outliers, integrity, dirt, "
-            "sizes, sizes-rendered.",
+            "paper-synthetic, paper-lights, calibrated, tumbling, capture, capture-lights, violations, outliers, "
+            "integrity, dirt, sizes, sizes-rendered.",
         ),
     ],
     output: Annotated[

@@ -1,7 +1,7 @@
 """The closed loop: one run is reproducible and succeeds, wrong lines do not close the gripper, studies resume."""
 
 from dataclasses import replace
-from math import radians
+from math import erf, radians, sqrt
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from ringpose.geometry.rotations import angle_between, tilt_basis
 from ringpose.simulate.motion import FreeAttitude
 from ringpose.simulate.robot import Pose
 from ringpose.track.lines import capture_probability
+from ringpose.types.capture import FloatingBase
 from ringpose.types.pose import PoseFlag
 from ringpose.types.study import CAPTURE_TIMES, StudyMethod, columns
 from ringpose.types.target import FreeMotion
@@ -163,6 +164,54 @@ def test_a_gripper_holds_without_a_ring_and_does_not_come_nearer_by_an_old_one(s
     assert nearer.twist.velocity_m_s @ ring.normal < -0.09
     assert "old" in late.why
     assert abs(late.twist.velocity_m_s @ ring.normal) < 0.02
+
+
+def test_a_gripper_goes_back_when_nothing_is_measured_and_waits_where_it_began(study):
+    world = still_world(study)
+    guidance, ring = Guidance(guided_by(world)), exact_ring(world, 0.0)
+    tool = at_the_ring(world, ring)
+
+    def at(distance_m, now_s):
+        place = replace(tool, position_m=tool.position_m + distance_m * ring.normal)
+        return guidance.step(now_s, 0.5, place, ring)
+
+    at(0.1, 0.0)
+    at(0.05, 0.4)
+    back = at(0.05, 2.0 * MAX_AGE_S + 0.1)
+    assert back.twist.velocity_m_s @ ring.normal > 0.05
+    assert not back.closes
+    at(0.1, 3.5)
+    waiting = at(0.15, 4.0)
+    assert not waiting.twist.velocity_m_s.any()
+    assert "waits" in waiting.why
+
+
+def test_a_claim_contains_the_reaction_of_a_floating_base_to_an_arm_that_stops(study):
+    world = still_world(study)
+    fixed, base, ring = guided_by(world), FloatingBase(), exact_ring(world, 0.0, measured_s=1.0)
+    tool = at_the_ring(world, ring)
+    along = np.cross(ring.normal, ring.outward(ring.grasp_m))
+    decisions = {}
+    for name, guided in (("fixed", fixed), ("floating", replace(fixed, base=base))):
+        guidance = Guidance(guided)
+        for tick in range(17):  # at 0.1 m/s until the newest measurement, then at rest
+            now_s = 0.7 + 0.03 * tick
+            place_m = tool.position_m + min(now_s - 1.0, 0.0) * 0.1 * along
+            decisions[name] = guidance.step(now_s, 0.03, replace(tool, position_m=place_m), ring)
+
+    # by then the tool was expected 28 mm further; momenta to first order, the arm's mass as a point at r
+    missing_m = -0.1 * (now_s + fixed.closing_s - 1.0) * along
+    r, step = base.shoulder_m + base.arm_share * (tool.position_m - base.shoulder_m), base.arm_share * missing_m
+    reduced_kg = base.mass_kg * base.arm_mass_kg / (base.mass_kg + base.arm_mass_kg)
+    inertia = np.diag(base.inertia_kg_m2) + reduced_kg * (r @ r * np.eye(3) - np.outer(r, r))
+    turn_rad = -np.linalg.solve(inertia, reduced_kg * np.cross(r, step))
+    share = base.arm_mass_kg / (base.mass_kg + base.arm_mass_kg)
+    moved_m = -share * (step + np.cross(turn_rad, r)) + np.cross(turn_rad, ring.grasp_m)
+    across_m = np.hypot(moved_m @ ring.outward(ring.grasp_m), moved_m @ ring.normal)
+
+    assert decisions["fixed"].probability > 0.99
+    assert across_m > 0.001
+    assert decisions["floating"].probability == pytest.approx(erf(0.002 / across_m / sqrt(2.0)), abs=0.02)
 
 
 def test_the_covariance_at_a_place_beside_the_grasp_point_contains_the_tilt(study):
