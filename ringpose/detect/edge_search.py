@@ -25,7 +25,7 @@ from ringpose.geometry.rays import rays_wrt_pixel_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, STEP, TINY, TURN, RingArcs, edge_distances, edge_points
 from ringpose.kernels import _kernels, column_names, column_slices, kernel_record
 from ringpose.kernels.lines import Lens
-from ringpose.optics.feature_errors import STEP_DN, STEP_SIGMAS, noise_across_edge
+from ringpose.optics.feature_errors import POINT_SIGMA_PX, STEP_DN, STEP_SIGMAS, noise_across_edge
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 from ringpose.types.detection import BreakPoints, JudgedRing
 from ringpose.types.plausible import RING_RADIUS_M
@@ -62,13 +62,8 @@ def stripe_mask(
 
 
 HALF_TURN_RAD = math.pi
-"""Largest angle on the ring to both sides of the origin: all of it may be in view."""
-
-OBLIQUE = 3.0
-"""Upper bound of the factor by which foreshortening and depth reduce an error across the edge in the image."""
-
-DETOUR = 1.3
-"""Upper bound of the length of an arc from the origin to the farthest image corner, divided by their distance."""
+"""Largest angle on the ring to both sides of the origin: all of it may be in view. Half of it is the largest ratio of
+such an arc to its chord."""
 
 MAX_PLACES = 10**5
 """Largest number of places to each side of the origin."""
@@ -83,8 +78,6 @@ class PlaceParams:
     image_height: int
     sigma_px: float = math.inf
     """Places with a larger predicted sigma across the edge are left out."""
-    max_sigma_m: float = math.inf
-    """The same on the ring's plane, which saves imaging places."""
     margin_px: float = 8.0
     """Places closer than this to the image border are left out."""
     wider: float = 0.3
@@ -163,12 +156,7 @@ def edge_trace(
         return EdgeTrace(np.empty((0, PLACE_WIDTH)))
     number = np.tile(np.arange(-count, count + 1.0), 2)
     edge_sign = np.repeat(EDGE_SIGN, len(number) // 2)
-    params = PlaceParams(
-        image_width=camera.image_width,
-        image_height=camera.image_height,
-        sigma_px=sigma_px,
-        max_sigma_m=OBLIQUE * sigma_px * metres_per_px,
-    )
+    params = PlaceParams(image_width=camera.image_width, image_height=camera.image_height, sigma_px=sigma_px)
     return edge_places(arcs, number * (spacing_px * metres_per_px), edge_sign, number, lens(camera), params, covariance)
 
 
@@ -181,7 +169,7 @@ def _places_to_each_side(arcs: RingArcs, camera: Camera, spacing_px: int | float
     at_px = x / z * matrix[0, 0] + matrix[0, 2], y / z * matrix[1, 1] + matrix[1, 2]
     corner_px = math.hypot(*(abs(at - side / 2) + side / 2 for at, side in zip(at_px, size, strict=True)))
     turn_rad = max(abs(arcs.curvature) * spacing_px * z / float(matrix[0, 0]), TINY)
-    bound = min(DETOUR * corner_px / spacing_px, HALF_TURN_RAD / turn_rad, MAX_PLACES)
+    bound = min(HALF_TURN_RAD / 2 * corner_px / spacing_px, HALF_TURN_RAD / turn_rad, MAX_PLACES)
     return int(bound) if math.isfinite(bound) else -1
 
 
@@ -396,18 +384,11 @@ def _median(values: Float64[Array, "n"]) -> float:
 
 # Steps as observations of the ring
 
-STEP_SIGMA_PX = 0.5
-"""Maximum standard deviation of a step's position."""
-
 CLUTTER = 2.5
 """Factor on the sigmas of single steps: the intensity beyond the edge is not uniform."""
 
 MIN_SIGMA_PX = 0.1
 """Minimum standard deviation of a single step, before that factor."""
-
-
-MOSTLY_VISIBLE = 0.5
-"""Share of places with a step above which what is behind differs from the face, so that it does not hide the edge."""
 
 SOFT = 1.5
 """Ratio of the blur of a soft step to that of the ring's edges ..."""
@@ -438,9 +419,9 @@ def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, *, precise: b
     profiles = edge_profiles(frame.image, trace.position_px, trace.normal, reach_px, frame.saturation_dn)
     blur_px = estimated_blur_px(profiles, reach_px) if precise else BLUR_PX
     steps = edge_steps(profiles, reach_px, blur_px)
-    clear = np.isfinite(steps.offset_px) & (steps.sigma_px < STEP_SIGMA_PX)
+    clear = np.isfinite(steps.offset_px) & (steps.sigma_px < POINT_SIGMA_PX)
     clear &= (steps.height > STEP_SIGMAS) & (steps.height_dn > STEP_DN)
-    if 0 < np.count_nonzero(clear) < MOSTLY_VISIBLE * len(clear):
+    if 0 < 2 * np.count_nonzero(clear) < len(clear):
         lens_px = blur_px if precise else estimated_blur_px(profiles, reach_px)
         there = Profiles(*(each[clear] for each in profiles))
         sharp, soft = (edge_steps(there, reach_px, round(each, 2)).cost for each in (lens_px, SOFT * lens_px))
@@ -537,11 +518,9 @@ def tracked_ring(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> Pred
 
 # Direction of the edges at a single stripe, which its two ends leave open
 
-TURNS_RAD = np.linspace(-0.75, 0.75, 51)
-"""Candidate angles between the stripe's normal on the face and the edges ..."""
-
-TURNS_OF_CHORD_RAD = np.linspace(-1.2, 1.2, 81)
-"""... and those of a stripe across both arcs, whose four ends leave nothing else of the ring open."""
+TURNS_RAD = np.linspace(-1.2, 1.2, 81)
+"""Candidate angles between the stripe's normal on the face and the edges; of a stripe across both arcs, whose four ends
+leave nothing else of the ring open, between the face's middle and its centre."""
 
 MIN_NUMBER, MAX_NUMBER = 2, 9
 """Range of the places examined on each edge, counted from the stripe to each side ..."""
@@ -563,7 +542,7 @@ def edges_beside_stripe(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) 
     """
     arcs, whole = stripes.start.arcs, stripes.shows_both_arcs
     if whole:
-        turned = [_aside(arcs, math.tan(turn_rad) * arcs.mean_radius_m) for turn_rad in TURNS_OF_CHORD_RAD.tolist()]
+        turned = [_aside(arcs, math.tan(turn_rad) * arcs.mean_radius_m) for turn_rad in TURNS_RAD.tolist()]
     else:
         turned = [_turned(arcs, turn_rad) for turn_rad in TURNS_RAD.tolist()]
     to_one_side = np.arange(MIN_NUMBER, MAX_NUMBER + 1)

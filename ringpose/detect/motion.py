@@ -13,40 +13,29 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ringpose.detect.edge_search import WALK_SPACING_PX
 from ringpose.geometry.least_squares import huber_weights
 from ringpose.geometry.rays import POINTS_OF_A_PLANE, intersect, project, rays, undistorted_pixels, undistorted_rays
 from ringpose.optics.feature_errors import MIN_PEAK, MINIMUM_POINTS
 from ringpose.types.arrays import Array, Bool, Float64, UInt
+from ringpose.types.assumptions import MotionPrior
 from ringpose.types.detection import BreakPoints
 from ringpose.types.image import Shot
 from ringpose.types.rig import Rig
 
-SPACING_PX = 12.0
-"""Spacing of the places at which the displacement is measured, along each edge."""
-
-BESIDE_STRIPE_PX = 30.0
-"""Places nearer than this to the row of a stripe's end are left out in frames with lasers on."""
-
 WINDOW_PX, LEVELS = 21, 2
-"""Window and pyramid levels of the optical flow, in images of half size: displacements up to 60 px are found."""
+"""Window and pyramid levels of the optical flow, in images of half size: displacements up to 60 px are found. Places
+whose windows contain the row of a stripe's end are left out in frames with lasers on."""
 
-MARGIN_PX = 100
-"""Margin of the compared parts of both images about the edges."""
+MARGIN_PX = WINDOW_PX << LEVELS
+"""Margin of the compared parts of both images about the edges: half of the window on the highest level."""
 
 ACROSS_PX = np.arange(-12.0, 13.0, 4.0)
 """Distances across the edge at which that range is taken."""
 
 SIGMA_PX = 3.0
-"""Standard deviation of a single displacement: neighbouring places share their windows and what lies behind."""
-
-SPEED_SD_M_S, RATE_SD_RAD_S = 0.05, 0.05
-"""Standard deviations per axis that regularize the motion across what the edges show."""
-
-MAX_SPEED_M_S = 0.5
-"""Largest speed along an axis that is taken for a measurement."""
-
-MIN_SHIFT_PX = 2.0
-"""Smallest displacement that counts as motion where one of the frames has lasers on: their light spreads over it."""
+"""Standard deviation of a single displacement: neighbouring places share their windows and what lies behind. Smaller
+ones are no motion where one of the frames has lasers on, since their light spreads over it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,10 +58,11 @@ class RingMotion:
         return moved
 
 
-def ring_motion(points: BreakPoints, shot: Shot, rig: Rig) -> RingMotion | None:
+def ring_motion(points: BreakPoints, shot: Shot, rig: Rig, prior: MotionPrior) -> RingMotion | None:
     """The motion of a ring with these break points; None if no two frames show its edges at different times.
 
-    The first frame without lasers, which the shot must have, is compared with the last one.
+    The first frame without lasers, which the shot must have, is compared with the last one. The prior regularizes the
+    motion across what the edges show.
     """
     dark = np.flatnonzero(shot.lasers == 0)
     first, last = int(dark[0]), int(dark[-1]) if len(dark) > 1 else len(shot.lasers) - 1
@@ -93,11 +83,11 @@ def ring_motion(points: BreakPoints, shot: Shot, rig: Rig) -> RingMotion | None:
     if np.count_nonzero(tracked) < MINIMUM_POINTS:
         return None
     motion = _fitted(
-        position[tracked], normal[tracked], shift_px[tracked] / duration_s, SIGMA_PX / duration_s, points, rig
+        position[tracked], normal[tracked], shift_px[tracked] / duration_s, SIGMA_PX / duration_s, points, rig, prior
     )
-    if motion is None or float(np.abs(motion.velocity_m_s).max()) > MAX_SPEED_M_S:
+    if motion is None:
         return None
-    at_rest = shot.lasers[last] and motion.edge_speed_px_s * duration_s < MIN_SHIFT_PX
+    at_rest = shot.lasers[last] and motion.edge_speed_px_s * duration_s < SIGMA_PX
     return None if at_rest else motion
 
 
@@ -109,9 +99,9 @@ def _edge_places(points: BreakPoints, beside_stripes: bool) -> tuple[Float64[Arr
         ends = ends[np.argsort(ends[:, 1])]
         for start, stop in pairwise(ends):
             length = float(np.hypot(*(stop - start)))
-            along = np.arange(0.0, length, SPACING_PX)
+            along = np.arange(0.0, length, WALK_SPACING_PX)
             if beside_stripes:
-                along = along[(along > BESIDE_STRIPE_PX) & (along < length - BESIDE_STRIPE_PX)]
+                along = along[(along > WINDOW_PX) & (along < length - WINDOW_PX)]
             direction = (stop - start) / length
             positions.append(start + along[:, None] * direction)
             normals.append(np.tile([direction[1], -direction[0]], (len(along), 1)))
@@ -157,6 +147,7 @@ def _fitted(
     sigma_px_s: float,
     points: BreakPoints,
     rig: Rig,
+    prior: MotionPrior,
 ) -> RingMotion | None:
     """Rates fitted to the speeds of the edges along their normals: robust least squares, regularized to zero."""
     laser, edge = np.nonzero(points.seen)
@@ -174,17 +165,17 @@ def _fitted(
     x, y, z = place_m.T
     focal = np.array([rig.camera.camera_matrix[0, 0], rig.camera.camera_matrix[1, 1]]) * normal
     by_point = np.column_stack([focal[:, 0] / z, focal[:, 1] / z, -(focal[:, 0] * x + focal[:, 1] * y) / z**2])
-    jacobian = np.concatenate([by_point, np.cross(place_m - pivot, by_point)], axis=1) / sigma_px_s
-    prior = np.diag(np.repeat([1 / SPEED_SD_M_S, 1 / RATE_SD_RAD_S], 3))
+    sd = np.repeat([prior.speed_sd_m_s, prior.rate_sd_rad_s], 3)  # the rates are estimated in these units
+    jacobian = np.concatenate([by_point, np.cross(place_m - pivot, by_point)], axis=1) * sd / sigma_px_s
     speed = speed_px_s / sigma_px_s
     weight, rates = np.ones(len(speed)), np.zeros(6)
     for _ in range(5):
         rows = np.sqrt(weight)[:, None]
         rates = np.linalg.lstsq(
-            np.concatenate([rows * jacobian, prior]), np.concatenate([rows[:, 0] * speed, np.zeros(6)])
+            np.concatenate([rows * jacobian, np.eye(6)]), np.concatenate([rows[:, 0] * speed, np.zeros(6)])
         )[0]
         weight = huber_weights(speed - jacobian @ rates, 1.5)
-    shown_px_s = np.abs(jacobian @ rates) * sigma_px_s
+    shown_px_s, rates = np.abs(jacobian @ rates) * sigma_px_s, sd * rates
     return RingMotion(
         pivot_m=pivot, velocity_m_s=rates[:3], rate_rad_s=rates[3:], edge_speed_px_s=float(shown_px_s.max())
     )

@@ -50,7 +50,7 @@ from ringpose.kernels.lines import (
     X_START,
 )
 from ringpose.types.arrays import Array, Bool, Float64, Int32, Int64
-from ringpose.types.assumptions import USUAL, Assumptions
+from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
 from ringpose.types.detection import (
     UNLABELLED,
     BreakPointFlag,
@@ -302,7 +302,8 @@ def _judged_ring(view: View, stripes: Stripes, unlabelled: Sequence[int]) -> Rin
     ends = break_points(face, segments, view.images, rig, saturation_dn)
     if saturated_along_stripes(ends, view.images, saturation_dn):
         raise Stop(NoBreakPoints.HIDDEN_BY_SATURATION)
-    motion = None if view.still or view.shot.lasers.all() else ring_motion(ends, view.shot, rig)
+    prior = view.assumptions.motion or motion_prior()
+    motion = None if view.still or view.shot.lasers.all() else ring_motion(ends, view.shot, rig, prior)
     unmoved = view.images if motion is None else [_without_moved_background(image, motion) for image in view.images]
     if unmoved != view.images:
         ends = break_points(face, segments, unmoved, rig, saturation_dn)

@@ -17,7 +17,6 @@ from ringpose.detect.difference_images import BAND_PX, VISIBLE_SHARE
 from ringpose.detect.edge_search import (
     ALONG_PX,
     CLOSE_REACH_PX,
-    MOSTLY_VISIBLE,
     PREDICTED_SIGMA_PX,
     EdgeImage,
     EdgeTrace,
@@ -273,8 +272,8 @@ def found_edges(
     if points is None:
         return None
     wider, steps = 1.0, len(clear.trace.edge_sign)
-    mostly_visible = steps >= MOSTLY_VISIBLE * len(trace.edge_sign)
-    if GROUP * len(points.edge) < MOSTLY_VISIBLE * len(trace.edge_sign):  # most steps are beside the edges, if any
+    mostly_visible = 2 * steps >= len(trace.edge_sign)
+    if 2 * GROUP * len(points.edge) < len(trace.edge_sign):  # most steps are beside the edges, if any
         wider = uncertainty_factor(points, refined.arcs, stripes, frame, rig)
         if not math.isfinite(wider):
             return None

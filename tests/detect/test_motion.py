@@ -11,12 +11,14 @@ from ring_scenes import without
 
 from ringpose.detect.motion import moved_to, ring_motion
 from ringpose.detect.pipeline import detect
+from ringpose.types.assumptions import motion_prior
 from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.image import Shot, shot_with_frames
 from ringpose.types.rig import Rig
 
 MASKS = (0, 1, 2, 4, 0)
 PERIOD_S = 1 / 30
+PRIOR = motion_prior()
 STAMPS_S = 100.0 + PERIOD_S * np.arange(len(MASKS))
 EXPOSURE_S = 0.002
 VELOCITY_M_S = np.array([0.05, 0.02, 0.01])
@@ -92,7 +94,7 @@ def test_break_points_are_where_their_own_frames_show_them(detection, rig):
 def test_the_motion_is_measured_to_a_fifth(moving, rig, rng):
     points = replace(measured(DrawnScene(), rig, rng), stamp_s=STAMPS_S[1:4])
 
-    motion = ring_motion(points, moving, rig)
+    motion = ring_motion(points, moving, rig, PRIOR)
 
     assert motion is not None
     np.testing.assert_allclose(motion.velocity_m_s[0], VELOCITY_M_S[0], rtol=0.2)
@@ -101,7 +103,7 @@ def test_the_motion_is_measured_to_a_fifth(moving, rig, rng):
 
 
 def test_a_ring_at_rest_shows_no_motion(resting, rig, rng):
-    motion = ring_motion(measured(DrawnScene(), rig, rng), resting, rig)
+    motion = ring_motion(measured(DrawnScene(), rig, rng), resting, rig, PRIOR)
 
     assert motion is not None
     assert motion.edge_speed_px_s * 4 * PERIOD_S < 0.2
@@ -112,7 +114,7 @@ def test_few_break_points_show_no_motion_or_a_plausible_one(moving, rig, rng, se
     points = replace(measured(DrawnScene(), rig, rng), stamp_s=STAMPS_S[1:4])
     hidden = [place for place in np.ndindex(3, 2) if place not in seen]
 
-    motion = ring_motion(without(points, *hidden), moving, rig)
+    motion = ring_motion(without(points, *hidden), moving, rig, PRIOR)
 
     assert motion is None or np.abs(motion.velocity_m_s).max() < 0.1
 
@@ -120,7 +122,7 @@ def test_few_break_points_show_no_motion_or_a_plausible_one(moving, rig, rng, se
 def test_frames_in_the_dark_show_no_motion(moving, rig, rng):
     noise = rng.integers(2, 5, moving.images.shape, dtype=np.uint8)
 
-    assert ring_motion(measured(DrawnScene(), rig, rng), replace(moving, images=noise), rig) is None
+    assert ring_motion(measured(DrawnScene(), rig, rng), replace(moving, images=noise), rig, PRIOR) is None
 
 
 def test_a_shot_declared_as_still_uses_the_first_frame_without_lasers_only(resting, rig):
@@ -134,7 +136,7 @@ def test_stripes_moved_to_one_instant_lie_on_the_ring_of_that_instant(moving, ri
     exact = measured(DrawnScene(), rig, rng)
     seen = np.array([true_break_points(scene_at(STAMPS_S[1 + laser]), rig)[laser] for laser in range(3)])
     points = replace(exact, position_px=seen, stamp_s=STAMPS_S[1:4])
-    motion = ring_motion(points, shot_with_frames(moving, np.arange(5)), rig)
+    motion = ring_motion(points, shot_with_frames(moving, np.arange(5)), rig, PRIOR)
     assert motion is not None
     motion = replace(motion, velocity_m_s=VELOCITY_M_S, rate_rad_s=np.zeros(3))
 

@@ -14,7 +14,6 @@ enum { STEP = 7, AXES = 3 };
     COUNT(image_width, 1, INT32_MAX)                                                                                \
     COUNT(image_height, 1, INT32_MAX)                                                                               \
     REAL(sigma_px, 0, INFINITY)                                                                                     \
-    REAL(max_sigma_m, 0, INFINITY)                                                                                  \
     REAL(margin_px, NOT_NEGATIVE)                                                                                   \
     REAL(wider, NOT_NEGATIVE)                                                                                       \
     REAL(nudge_m, POSITIVE)
@@ -95,7 +94,6 @@ static int see_place(const Predicted *predicted, size_t i, const double *covaria
         !within(at[1], params->image_height, params->wider * params->image_height))
         return 0;
     const double sigma = predicted->wrt_step ? predicted_sigma(predicted, i, covariance) : 0;
-    if (!(sigma <= params->max_sigma_m)) return 0;
     memcpy(place->point, predicted->point[i], sizeof place->point);
     memcpy(place->off_face, predicted->off_face[i], sizeof place->off_face);
     place->sign = predicted->sign[i];
