@@ -7,6 +7,7 @@ from there to the ring and its rates (section 8), and to errors of the rig and o
 (`ringpose.estimate.nuisance`). `ring_residuals` joins the rows; the solver knows no kind.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
@@ -47,7 +48,7 @@ Index = slice | Int64[Array, "row"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Factor:
+class Factor(ABC):
     """One kind of measurement."""
 
     robust: ClassVar[bool] = False
@@ -59,6 +60,23 @@ class Factor:
     """Mid exposure of the frame that each row comes from; NaN if unknown."""
     opposite: Bool[Array, "row"]
     """Whether each row is of the opposite arc."""
+
+    @abstractmethod
+    def linearized(self, at: RingPrediction) -> Float64[Array, "row column"]:
+        """[r J] in sigmas: by the columns of the prediction, for ring, rates and the camera's motion, Eq. (8.2)."""
+
+    def own_errors(self, jacobian: Float64[Array, "row step=7"], tolerance_m: float) -> Float64[Array, "row error"]:
+        """Derivatives by errors that only these rows have in common, in sigmas; `tolerance_m`: of the ring.
+
+        `jacobian`: the derivatives of the whitened rows by the ring's step.
+        """
+        return np.zeros((len(jacobian), 0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImageFactor(Factor):
+    """A kind of measurement in the image, which errors of the rig and of the ring's form displace."""
+
     ray: Index
     """Index of each row's ray among the samples of stripes, then the visible edge points (`RingSamples`) ..."""
     beside: Index | None = None
@@ -68,15 +86,20 @@ class Factor:
     whitening: Float64[Array, "row row"] | None = None
     """W with W^T W the inverse covariance of the rows; None if each is divided by its own standard deviation."""
 
+    @abstractmethod
     def residuals(self, at: RingPrediction) -> tuple[Float64[Array, "row"], Derivatives]:
         """The residuals at a ring, before the whitening, and their derivatives."""
-        raise NotImplementedError
 
-    def linearized(self, at: RingPrediction) -> tuple[Float64[Array, "row column"], Derivatives | None]:
-        """[r J] before the whitening: by the columns of the prediction, ring, rates and camera's motion, Eq. (8.2).
+    @abstractmethod
+    def wrt_ray(self, at: RingPrediction) -> Float64[Array, "row xy=2"]:
+        """Derivatives of the residuals by the measured rays, before the whitening."""
 
-        Also the derivatives that lead there; None for a kind that is not seen in the image.
-        """
+    def linearized(self, at: RingPrediction) -> Float64[Array, "row column"]:
+        """The whitened rows, by the chain rule."""
+        return self.whitened(self.unwhitened(at)[0])
+
+    def unwhitened(self, at: RingPrediction) -> tuple[Float64[Array, "row column"], Derivatives]:
+        """[r J] before the whitening, and the derivatives that lead there."""
         residual, by = self.residuals(at)
         rows = np.empty((len(residual), 1 + at.stripes.y_wrt_step.shape[1]))
         rows[:, 0], rows[:, 1:] = residual, 0.0
@@ -86,20 +109,9 @@ class Factor:
             rows[:, 1:] += by.distance * at.edges.wrt_step[self.beside]
         return rows, by
 
-    def wrt_ray(self, at: RingPrediction) -> Float64[Array, "row xy=2"]:
-        """Derivatives of the residuals by the measured rays, before the whitening."""
-        raise NotImplementedError
-
     def whitened(self, rows: Float64[Array, "row *column"]) -> Float64[Array, "row *column"]:
         """The rows in units of their standard deviations."""
         return rows if self.whitening is None else self.whitening @ rows
-
-    def own_errors(self, jacobian: Float64[Array, "row step=7"], tolerance_m: float) -> Float64[Array, "row error"]:
-        """Derivatives by errors that only these rows have in common, in sigmas; `tolerance_m`: of the ring.
-
-        `jacobian`: the derivatives of the whitened rows by the ring's step.
-        """
-        return np.zeros((len(jacobian), 0))
 
 
 class Observations(NamedTuple):
@@ -209,9 +221,7 @@ def ring_residuals(arcs: RingArcs, observations: Observations, prior: Prior, rat
     sds = np.zeros(0) if motion is None else np.array([motion.speed_sd_m_s] * 3 + [motion.rate_sd_rad_s] * 2)
     rates, count = (rates, len(sds)) if len(sds) else (STILL, 0)
     at = predicted_view(arcs, observations.view, rates if count else None)
-    rows = np.concatenate(
-        [*[factor.whitened(factor.linearized(at)[0]) for factor, _ in observations.blocks], prior.rows(at)]
-    )
+    rows = np.concatenate([*[factor.linearized(at) for factor, _ in observations.blocks], prior.rows(at)])
     return Residuals(
         arcs=arcs,
         rates=rates,

@@ -15,7 +15,7 @@ import numpy as np
 
 from ringpose.errors import DataError
 from ringpose.estimate.factors.prior import Prior
-from ringpose.estimate.linearization import Derivatives, Factor, FixedColumns, Residuals
+from ringpose.estimate.linearization import Derivatives, FixedColumns, ImageFactor, Residuals
 from ringpose.geometry.rays import pixels_wrt_ray_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, LIFT, edge_distances, polar_angles
 from ringpose.geometry.rotations import tilt_basis
@@ -314,12 +314,11 @@ def slope_jacobian(residuals: Residuals) -> Float64[Array, "row"]:
 
 def _seen(
     residuals: Residuals,
-) -> Iterator[tuple[Factor, slice, Float64[Array, "row column"], Derivatives]]:
+) -> Iterator[tuple[ImageFactor, slice, Float64[Array, "row column"], Derivatives]]:
     """The factors that are seen in the image, with their rows before the whitening and the derivatives of these."""
     for factor, rows in residuals.observations.blocks:
-        unwhitened, by = factor.linearized(residuals.at)
-        if by is not None:
-            yield factor, rows, unwhitened, by
+        if isinstance(factor, ImageFactor):
+            yield factor, rows, *factor.unwhitened(residuals.at)
 
 
 def nuisance_columns(residuals: Residuals, fixed: FixedColumns) -> Float64[Array, "row error"]:

@@ -33,13 +33,11 @@ class PlaneDistance(Factor):
         for parameter, derivative in (TILT_INWARD, inward @ at.arcs.origin), (TILT_ALONG, along @ at.arcs.origin):
             rows[0, 1 + parameter] = derivative
         rows[0, 1 + LIFT] = 1.0
-        return rows / SD_M, None
+        return rows / SD_M
 
 
 def plane_distance(distance_m):
-    return PlaneDistance(
-        stamp_s=np.full(1, np.nan), opposite=np.zeros(1, dtype=bool), ray=slice(0, 0), distance_m=distance_m
-    )
+    return PlaneDistance(stamp_s=np.full(1, np.nan), opposite=np.zeros(1, dtype=bool), distance_m=distance_m)
 
 
 @pytest.fixture(params=["in the dark", "with visible edges"])

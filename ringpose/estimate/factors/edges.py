@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ringpose.estimate.linearization import MIN_SIGMA_PX, Derivatives, Factor
+from ringpose.estimate.linearization import MIN_SIGMA_PX, Derivatives, ImageFactor
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort
 from ringpose.geometry.ring import EDGE_SIGN, HALF_BAND, LIFT, TINY, RingPrediction
 from ringpose.types.arrays import Array, Float64, Int64
@@ -28,7 +28,7 @@ WALL_SD_M = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class EdgeFactor(Factor):
+class EdgeFactor(ImageFactor):
     """Visible points of the ring's edges."""
 
     robust: ClassVar[bool] = True

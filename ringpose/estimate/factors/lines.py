@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.estimate.linearization import MIN_SIGMA_PX, Derivatives, Factor
+from ringpose.estimate.linearization import MIN_SIGMA_PX, Derivatives, ImageFactor
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistorted_rays
 from ringpose.geometry.ring import RingPrediction
 from ringpose.types.arrays import Array, Bool, Float64, Int64
@@ -17,7 +17,7 @@ MINUS_ONE = np.array([[-1.0]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LineFactor(Factor):
+class LineFactor(ImageFactor):
     """The lines of the stripes on the face, by the ordinates y at their two ends."""
 
     y: Float64[Array, "row"]

@@ -6,7 +6,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from ringpose.estimate.factors.lines import Lines, stamps_of
-from ringpose.estimate.linearization import MIN_SIGMA_PX, Derivatives, Factor, Index
+from ringpose.estimate.linearization import MIN_SIGMA_PX, Derivatives, ImageFactor, Index
 from ringpose.geometry.rays import rays_wrt_pixel_and_camera, undistort
 from ringpose.geometry.ring import MIN_RATE, RingPrediction
 from ringpose.types.arrays import Array, Bool, Float64, Int64
@@ -15,7 +15,7 @@ from ringpose.types.rig import Camera
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PointFactor(Factor):
+class PointFactor(ImageFactor):
     """Break points. One whose stripe has no line has a second row, for its ordinate."""
 
     robust: ClassVar[bool] = True

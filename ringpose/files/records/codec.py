@@ -8,6 +8,7 @@ msgspec writes the JSON (`ringpose.files.records`), but does not read it: of an 
 """
 
 import types
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields, is_dataclass
@@ -49,14 +50,14 @@ OF_FILE = Context(strict=True)
 
 
 @dataclass(frozen=True)
-class Value:
+class Value(ABC):
     """A kind of value, with what its key states."""
 
     key: Key
 
+    @abstractmethod
     def read(self, fields: Fields, name: str, context: Context, axes: Axes) -> Any:
         """The value of a key that is there and not null."""
-        raise NotImplementedError
 
     def unknown(self, null: Any) -> Any:
         """The value for null, which stands for `null`."""
@@ -70,9 +71,9 @@ class Value:
         """The value in types of JSON; numbers that are not finite become null when they are encoded."""
         return value
 
+    @abstractmethod
     def schema(self, definitions: Schema) -> Schema:
         """JSON Schema of a value that is not null; `definitions` receives those of data classes."""
-        raise NotImplementedError
 
     @property
     def is_plain(self) -> bool:
