@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ringpose.detect.pipeline import detect
-from ringpose.estimate import factors, solver
+from ringpose.estimate import explanation, linearization, ring_estimate, solver, stripe_evidence
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
 from ringpose.measure.stream import pose_line
@@ -22,13 +22,13 @@ def solved(monkeypatch) -> dict[str, int]:
     counts = {"gauss_newton": 0, "linearized_at": 0, "ring_residuals": 0}
 
     def count(name: str) -> None:
-        function = getattr(solver if name == "gauss_newton" else factors, name)
+        function = getattr(linearization if name == "ring_residuals" else solver, name)
 
         def counted(*arguments, **options):
             counts[name] += 1
             return function(*arguments, **options)
 
-        for module in (factors, solver):
+        for module in (linearization, solver, ring_estimate, stripe_evidence, explanation):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, counted)
 
