@@ -9,14 +9,14 @@ Three programs exchange what they would exchange in a laboratory:
     ringpose   ringpose pose --track --camera tcp://... --robot-poses -   measures it in the robot's base
     robot      python3 grasp.py run DIR ADDRESS < tracks > robot-poses   this program: arm, gripper and guidance
 
-The robot is also a client of the platform: before each shot it shows the ring where the camera on its tool will see it
-in the lit frame, and writes the poses that it reports up to the end of the shot, with their errors. From the line of
-the shot, the guidance of `ringpose bench study capture` makes velocities of the tool, until it closes. The rig that
-measures, and the mount, differ from the true ones by errors drawn from their covariances.
+The robot is also a client of the platform: before each shot it shows the ring as the camera on its tool will see it
+move from the first frame to the lit one, and writes the poses that it reports up to the end of the shot, with their
+errors. From the line of the shot, the guidance of `ringpose bench study capture` makes velocities of the tool, until it
+closes. The rig that measures, and the mount, differ from the true ones by errors drawn from their covariances.
 
 The outcome against the truth is a line on standard error, and in DIR/captures.jsonl for `ringpose bench capture`; the
-exit status is 0 if the gripper closed on the band, 3 if not. The ring stands still within each shot.
-A share below 1 makes the pictures smaller, and the whole faster.
+exit status is 0 if the gripper closed on the band, 3 if not. A share below 1 makes the pictures smaller, and the whole
+faster.
 """
 
 import argparse
@@ -45,6 +45,7 @@ from ringpose.files.rigs import read_rig, write_rig
 from ringpose.files.scenes.motions import mass_properties
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
+from ringpose.geometry.rotations import rotation_vector
 from ringpose.simulate.placement import ring_rotation, ring_views
 from ringpose.simulate.stripe_ends import drawn_rig
 from ringpose.types.capture import Arm, CaptureLoop, FloatingBase
@@ -102,14 +103,17 @@ class Platform:
         self._send({"type": "hello", "protocol": PROTOCOL})
         self.greeting = self._received()
 
-    def show(self, rotation, translation_m, height_m):
-        """Show the ring in this pose from the next shot on."""
+    def show(self, before, after, apart_s, height_m):
+        """Show the ring from the next shot on, which begins in the first of two poses and comes to the other one."""
+        (rotation, translation_m), (later, later_m) = before, after
         normal = rotation[:, 2]
         roll = ring_rotation(normal, 0.0).T @ rotation
         center_m = translation_m + height_m * normal
         self._send({
             "type": "pose", "center_m": center_m.tolist(), "normal": normal.tolist(),
             "roll_rad": float(np.arctan2(roll[1, 0], roll[0, 0])),
+            "velocity_m_s": ((later_m + height_m * later[:, 2] - center_m) / apart_s).tolist(),
+            "angular_velocity_rad_s": (rotation_vector(later @ rotation.T) / apart_s).tolist(),
         })  # fmt: skip
         answer = self._received()
         if answer["type"] != "done":
@@ -172,7 +176,9 @@ def run(folder, address, seed, floating):
         nonlocal reported, middle_s
         lit_s = time_s + (frames - 1) * frame_s
         world.advance(lit_s + SHOT_S)  # as long as no later command can have an effect
-        platform.show(*world.camera_from_target(lit_s + middle_s), scene.ring.height_m)
+        shown_s = lit_s + middle_s
+        before, after = world.camera_from_target(time_s), world.camera_from_target(shown_s)
+        platform.show(before, after, shown_s - time_s, scene.ring.height_m)
         frame = platform.exposed()
         begin_s = frame["stamp_s"] - time_s
         for stamp_s, pose in world.reported[reported:]:

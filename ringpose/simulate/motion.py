@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ringpose.errors import DataError
+from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import rotation_vector
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.scene import RingView
@@ -102,6 +103,29 @@ class PosePath:
 
     def inertial_from_camera(self, time_s: float) -> Float64[Array, "3 3"]:
         """See `TargetPath`; a camera whose motion is not known is taken as still."""
+        return np.eye(3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SteadyPath:
+    """A target whose face's centre moves at a constant velocity, and which turns about it at a constant rate."""
+
+    rotation: Float64[Array, "3 3"]
+    """Rotation from target to camera at time 0."""
+    center_m: Float64[Array, "xyz=3"]
+    """Centre of the face at time 0."""
+    velocity_m_s: Float64[Array, "xyz=3"]
+    angular_velocity_rad_s: Float64[Array, "xyz=3"]
+    face_m: Float64[Array, "xyz=3"]
+    """Centre of the face in the target frame."""
+
+    def camera_from_target(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
+        """See `TargetPath`."""
+        rotation = rotation_by(self.angular_velocity_rad_s * time_s) @ self.rotation
+        return rotation, self.center_m + self.velocity_m_s * time_s - rotation @ self.face_m
+
+    def inertial_from_camera(self, time_s: float) -> Float64[Array, "3 3"]:
+        """See `TargetPath`; the camera is taken as still."""
         return np.eye(3)
 
 

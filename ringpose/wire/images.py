@@ -122,6 +122,15 @@ class ServedPose:
     roll_rad: float = 0.0
     light: str | None = None
     """Name of a light of the scene; None for that of its first view."""
+    velocity_m_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Velocity of the ring's centre; the pose is that at the begin of a shot ..."""
+    angular_velocity_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """... and angular velocity of the target, both constant within it."""
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether it changes within a shot."""
+        return any(self.velocity_m_s) or any(self.angular_velocity_rad_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -265,11 +274,13 @@ def _pose_in(header: Header) -> ServedPose:
     normal = header.vector("normal")
     if not 1e-6 < math.hypot(*normal) < 1e6:
         raise header.problem("normal", "must not be zero")
+    rates = {name: header.vector(name) for name in ("velocity_m_s", "angular_velocity_rad_s") if header.has(name)}
     return ServedPose(
         center_m=header.vector("center_m"),
         normal=normal,
         roll_rad=header.number("roll_rad", -100, 100) if header.has("roll_rad") else 0.0,
         light=header.text("light") if header.has("light") else None,
+        **rates,
     )
 
 

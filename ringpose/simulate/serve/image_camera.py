@@ -12,6 +12,7 @@ import numpy as np
 from ringpose.errors import DataError, UsageError
 from ringpose.optics.sensor import saturation_dn
 from ringpose.simulate.exposure import view_exposure_s
+from ringpose.simulate.motion import SteadyPath
 from ringpose.simulate.pipeline import (
     around_camera,
     illuminated_ring,
@@ -20,7 +21,7 @@ from ringpose.simulate.pipeline import (
     render_ring_view,
     view_truth,
 )
-from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S, READOUT_S, ring_views
+from ringpose.simulate.placement import MAX_DURATION_S, MIN_DURATION_S, READOUT_S, ring_rotation, ring_views
 from ringpose.simulate.renderer import RenderedView
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.image import Frame
@@ -177,10 +178,12 @@ class ImageCamera:
         self._shot_count += 1
         self._shot_name = f"{self._began}_{self._shot_count:06d}"
         self._still = self._moving = None
-        if self._motion is None or self._views is not self._scene_views:
+        scene, view = self._scene, self._views[self._number % len(self._views)]
+        if self._motion is not None and self._views is self._scene_views:
+            view = self._motion.view(stamp_s, self._shot_s)
+        if view.path is None:
             self._still = self._rendered.shot(self._views, self._number)
             return
-        scene, view = self._scene, self._motion.view(stamp_s, self._shot_s)
         usual_s = view_exposure_s(scene, illuminated_ring(scene, view))
         exposure_s = self._limited_s(usual_s if self._exposure_s is None else self._exposure_s)
         masks = self._sequence if self._mask is None else (self._mask,) * len(self._sequence)
@@ -222,20 +225,32 @@ class ImageCamera:
         scene, usual = self._scene, self._scene_views[0].light
         if unknown := {pose.light for pose in poses} - {None, *scene.lights}:
             return f"the scene has no light {sorted(map(str, unknown))[0]!r}"
-        views = tuple(
-            RingView(
-                name=f"pose_{number:06d}",
-                center_m=np.array(pose.center_m),
-                normal=np.array(pose.normal) / np.linalg.norm(pose.normal),
-                roll_rad=pose.roll_rad,
-                light=usual if pose.light is None else pose.light,
-            )
-            for number, pose in enumerate(poses, start=1)
-        )
+        views = tuple(self._view(f"pose_{number:06d}", pose, usual) for number, pose in enumerate(poses, start=1))
         if name := next(filter(None, (around_camera(scene, view) for view in views)), None):
             return f"a pose has the camera inside the part {name!r}"
         self._next_views = views or self._scene_views
         return None
+
+    def _view(self, name: str, pose: ServedPose, usual: str) -> RingView:
+        """The view of a pose; `usual`: its light if it states none."""
+        normal = np.array(pose.normal) / np.linalg.norm(pose.normal)
+        view = RingView(
+            name=name,
+            center_m=np.array(pose.center_m),
+            normal=normal,
+            roll_rad=pose.roll_rad,
+            light=usual if pose.light is None else pose.light,
+        )
+        if not pose.is_moving:
+            return view
+        path = SteadyPath(
+            rotation=ring_rotation(normal, pose.roll_rad),
+            center_m=view.center_m,
+            velocity_m_s=np.array(pose.velocity_m_s),
+            angular_velocity_rad_s=np.array(pose.angular_velocity_rad_s),
+            face_m=np.array([0.0, 0.0, self._scene.ring.height_m]),
+        )
+        return replace(view, path=path)
 
     def first_frame_with(self, request: Setting) -> int:
         """Number of the first frame with a setting that has just been made."""

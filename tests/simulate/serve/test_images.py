@@ -25,6 +25,7 @@ from served_scene import small_scene
 from ringpose.errors import DataError, DeviceError, UsageError
 from ringpose.files.records import plain
 from ringpose.files.records.truths import truth_record
+from ringpose.geometry.ring import rotation_by
 from ringpose.simulate.pipeline import render_ring_view
 from ringpose.simulate.placement import ring_views
 from ringpose.simulate.serve import image_camera, image_clients, images
@@ -399,6 +400,25 @@ def test_the_motion_is_that_of_the_stamps_also_between_shots_and_starts_again_at
     np.testing.assert_allclose(moved_m[continued], np.diff(stamps_s)[continued] * DRIFT_M_S[0], atol=1e-6)
     assert continued.sum() == 6
     assert truths[0]["velocity_m_s"] == pytest.approx(DRIFT_M_S.tolist(), abs=1e-9)
+
+
+def test_a_pose_with_velocities_moves_from_frame_to_frame_and_begins_anew_with_each_shot(serve, scene):
+    velocity_m_s, rate_rad_s = np.array([0.1, 0.0, -0.05]), np.array([0.0, 0.02, 0.0])
+    pose = {"center_m": [0.55, 0.02, 0.5], "normal": [0.0, 0.0, -1.0], "roll_rad": 0.3}
+    with ImageClient(serve(clock="lockstep", rate_hz=10.0).port) as client:
+        rates = {"velocity_m_s": velocity_m_s.tolist(), "angular_velocity_rad_s": rate_rad_s.tolist()}
+        assert client.ask(type="pose", **pose, **rates)["from_frame"] == 1
+        shots = [client.frames(len(scene.sequence)) for _ in range(2)]
+
+    for frames in shots:
+        truth, begin_s = frames[0][0]["truth"], frames[0][0]["stamp_s"]
+        for frame in truth["frames"]:
+            since_s = frame["stamp_s"] - begin_s
+            np.testing.assert_allclose(frame["center_m"], pose["center_m"] + velocity_m_s * since_s, atol=1e-6)
+            turned = rotation_by(rate_rad_s * since_s) @ pose["normal"]
+            np.testing.assert_allclose(frame["normal"], turned, atol=1e-6)
+        np.testing.assert_allclose(truth["velocity_m_s"], velocity_m_s, atol=1e-6)
+    assert len({frame["stamp_s"] for frames in shots for frame in frames[0][0]["truth"]["frames"]}) > 2
 
 
 def test_a_moving_target_stands_while_the_time_is_paused(serve, drifting):
