@@ -12,7 +12,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -194,7 +193,9 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
         return _foremost(face_of_both_arcs(chords, every, rig), segments, rig)
     groups: list[Group | None] = list(best_groups)
     best = best_hypothesis(groups)
+    uneven: list[Group] = []
     while best is not None and not _lengths_consistent(every[list(best.segments)], best.lasers, rig):
+        uneven.append(best)
         groups = [None if group is best else group for group in groups]
         best = best_hypothesis(groups)
     if chords.are_convincing and (best is None or _explains_more(chords, best)):
@@ -209,13 +210,15 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
         segments=chosen,
         score=best.score,
         ambiguous=ambiguous(best.score, best.rival, len(best.segments)),
-        displaced=() if beside is None else (beside,),
+        displaced=_left_out(best, uneven) if beside is None else (beside,),
     )
-    face, standing = _interrupted(face, best.covered, segments, rig)
+    face, standing = _interrupted(face, best.covered, segments, lasers, rig)
     if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
         face = _with_further_lasers(face, every, lasers, rig)
-    face = _foremost(face, segments[~standing], rig)
-    return replace(face, displaced=displaced_lasers(face, segments[~standing], lasers, rig))
+    foremost = _foremost(face, segments, rig)
+    if foremost.segments is face.segments or not foremost.is_confirmed:  # no ring in front that all of three show
+        foremost = _foremost(face, segments[~standing], rig)
+    return replace(foremost, displaced=displaced_lasers(foremost, segments[~standing], lasers, rig))
 
 
 def _with_further_lasers(
@@ -362,6 +365,13 @@ def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
     return three if three.score > two.score + (AGREEMENT if among else -AGREEMENT) else two
 
 
+def _left_out(group: Group, larger: Sequence[Group]) -> tuple[int, ...]:
+    """The lasers whose segment makes one of the larger groups of this one."""
+    pairs = set(zip(group.lasers, group.segments, strict=True))
+    more = (set(zip(each.lasers, each.segments, strict=True)) for each in larger)
+    return tuple(sorted({laser for each in more if pairs < each for laser, _ in each - pairs}))
+
+
 def _lengths_consistent(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> bool:
     """Whether the segments may cross one band: none is much shorter than the longest, unless the image truncates it."""
     lengths_m = _lengths_m(_ends_m(segments, lasers, rig))
@@ -460,37 +470,57 @@ def _of_laser(
     segments: Float64[Array, "segment column=12"], laser: int, lasers: Sequence[int]
 ) -> Float64[Array, "own column=12"]:
     """The segments that may be of a laser; `lasers`: those that an unlabelled segment may belong to."""
-    return segments[(segments[:, LASER] == laser) | ((segments[:, LASER] == UNLABELLED) & (laser in lasers))]
+    return segments[_is_of(segments, laser, lasers)]
+
+
+def _is_of(segments: Float64[Array, "segment column=12"], laser: int, lasers: Sequence[int]) -> Bool[Array, "segment"]:
+    """Mask of the same."""
+    mask: Bool[Array, "segment"] = (segments[:, LASER] == laser) | (
+        (segments[:, LASER] == UNLABELLED) & (laser in lasers)
+    )
+    return mask
 
 
 def _interrupted(
-    face: Face, covered: Sequence[int], segments: Float64[Array, "segment column=12"], rig: Rig
+    face: Face,
+    covered: Sequence[int],
+    segments: Float64[Array, "segment column=12"],
+    lasers: Sequence[int],
+    rig: Rig,
 ) -> tuple[Face, Bool[Array, "segment"]]:
     """The face with its ends at what stands on it, and which of the segments are on that.
 
-    Where a nearer surface begins at an end of a stripe, and reaches no farther from the stripe's other end than the
-    band that an unhidden stripe shows, it stands on the face. A ring in front of it would be lit by that laser, too.
+    Where a nearer surface begins at an end of a stripe, and ends where the band does that the longest stripe shows, it
+    stands on the face: on a ring in front there would be light of that laser, too. It is not higher than the band is
+    wide.
     """
-    standing = np.zeros(len(segments), dtype=bool)
-    if len(face.lasers) < 2 or not any(covered) or all(covered):
+    standing, at_ends = np.zeros(len(segments), dtype=bool), set()
+    if len(face.lasers) < 2 or not any(covered):
         return face, standing
     plane = _plane_of(face.segments, face.lasers, rig)
-    band_m = ALIKE * max(each for each, ends in zip(plane.lengths_m, covered, strict=True) if not ends)
-    at_ends = set()
-    for (number, laser), side in product(enumerate(face.lasers), range(2)):
-        if not covered[number] >> side & 1:
-            continue
-        nearer = np.flatnonzero(segments[:, LASER] == laser)
-        ends_m = _ends_m(segments[nearer], [laser] * len(nearer), rig)
+    whole = int(np.argmax(plane.lengths_m))
+    band_m = plane.lengths_m[whole]
+    if face.segments[whole, CLIPPED]:
+        return face, standing
+    for number, (row, laser) in enumerate(zip(face.segments, face.lasers, strict=True)):
+        own = np.flatnonzero(_is_of(segments, laser, lasers))
+        start, end, x, y = segments[own][:, [X_START, X_END, MIDDLE_X, MIDDLE_Y]].T
+        ends_m = _ends_m(segments[own], [laser] * len(own), rig)
         off_m = (ends_m - plane.origin_m) @ plane.normal
-        reach_m = ends_m[:, side] - plane.ends_m[number, 1 - side]
-        reach_m = np.linalg.norm(reach_m - np.outer(reach_m @ plane.normal, plane.normal), axis=1)
-        on_face = (off_m.min(axis=1) > 0.0) & (reach_m > plane.lengths_m[number]) & (reach_m < band_m)
-        beyond = segments[nearer][:, MIDDLE_X] > face.segments[number, X_END if side else X_START]
-        on_face &= beyond if side else ~beyond
-        standing[nearer[on_face]] = True
-        if on_face.any():
-            at_ends.add((laser, side))
+        in_front = (off_m.min(axis=1) > 0.0) & (off_m.max(axis=1) < band_m)
+        if number == whole:
+            apart = np.abs(y - row[MIDDLE_Y] - row[SLOPE] * (x - row[MIDDLE_X])) > SAME_STRIPE_PX
+            if (in_front & apart & (start < row[X_END]) & (end > row[X_START])).any():
+                return face, np.zeros_like(standing)
+            continue
+        for side in (side for side in range(2) if covered[number] >> side & 1 and not row[CLIPPED]):
+            reach_m = ends_m[:, side] - plane.ends_m[number, 1 - side]
+            reach_m = np.linalg.norm(reach_m - np.outer(reach_m @ plane.normal, plane.normal), axis=1)
+            beyond = x > row[X_END] if side else x < row[X_START]
+            on_face = in_front & beyond & (reach_m > band_m / ALIKE) & (reach_m < ALIKE * band_m)
+            standing[own[on_face]] = True
+            if on_face.any():
+                at_ends.add((laser, side))
     return replace(face, covered=frozenset(at_ends)), standing
 
 

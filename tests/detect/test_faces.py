@@ -334,3 +334,17 @@ def test_two_springs_on_the_stripes_of_a_face_interrupt_them(seed):
     assert not face.behind
     ends_px = face.segments[:, [SEGMENT_COLUMNS.index("x_start"), SEGMENT_COLUMNS.index("x_end")]]
     np.testing.assert_allclose(ends_px, face_ends(seed)[..., 0])
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_stripes_that_go_on_beyond_the_band_of_a_third_are_contradicted_by_it(seed):
+    """A blanket over the outer edge, seen with the face as one straight stripe, is longer than a third whole stripe."""
+    rows = [row(*ends, laser) for laser, ends in enumerate(face_ends(seed))]
+    for laser in (1, 2):
+        start, end = face_ends(seed)[laser]
+        rows[laser] = row(end - 3.0 * (end - start), end, laser)
+
+    face = ring_face(np.array(rows), (), RIG)
+
+    assert face.lasers == (1, 2)
+    assert face.displaced == (0,)

@@ -90,6 +90,7 @@ typedef struct {
     int32_t index[MAX_MEMBERS];
     double score, runner_up; /* runner_up: best score of the same segments with other lasers; minus infinity if none */
     double gained;           /* of chords: the score, and what is gained by the ends that agree */
+    int covered[MAX_MEMBERS]; /* of each segment, see `covered_ends` */
 } Best;
 
 static double beyond_ends(const Segment *segment) { return segment->before_start + segment->after_end; }
@@ -255,9 +256,11 @@ static int ranks(const Candidate *candidate, const Candidate *own, int count, in
     return count < maximum || candidate->merit + candidate->coincidence_bonus > own[maximum - 1].merit + own[maximum - 1].coincidence_bonus;
 }
 
-/* True if another piece of the same laser, on a nearer surface, hides what is beyond that end: the segment reaches from the
-   edge of that surface, or of its shadow, to the foot of a wall below that edge, which has the same lateral position. */
-static int hidden_beyond(const Segment *segment, int side, const Segment *other, const Scene *scene, const double light[3]) {
+/* True if another piece of the same laser, on a nearer surface more than `min_rows` beside it, hides what is beyond that end:
+   the segment reaches from the edge of that surface, or of its shadow, to the foot of a wall below that edge, which has the
+   same lateral position. */
+static int hidden_beyond(const Segment *segment, int side, const Segment *other, double min_rows, const Scene *scene,
+                         const double light[3]) {
     const RingParams *ring = scene->ring;
     double adjacent = scene->candidates->adjacent_px, sign = side ? 1 : -1;
     double end = side ? segment->x_end : segment->x_start, near = side ? other->x_start : other->x_end;
@@ -268,13 +271,14 @@ static int hidden_beyond(const Segment *segment, int side, const Segment *other,
     for (int i = 0; i < 2; i++)
         depth[i] = 1 / (light[0] * (near - ring->principal_x) / ring->focal_x +
                         light[1] * (at[i] - ring->principal_y) / ring->focal_y + light[2]);
-    if (!(depth[1] > 0 && depth[1] < depth[0]) || meet_at(near, segment, other, scene->unions)) return 0;
+    if (!(depth[1] > 0 && depth[1] < depth[0] && fabs(at[1] - at[0]) > min_rows)) return 0;
     double foot = ring->principal_x + (near - ring->principal_x) * depth[1] / depth[0];
     return end > fmin(near, foot) - adjacent && end < fmax(near, foot) + adjacent;
 }
 
 /* Which ends are the stripe's own; returns the penalty of the others, infinite if the image's border cuts both off. */
 static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, Candidate *candidate) {
+    const CandidateParams *params = scene->candidates;
     int cut = 0, covered = 0;
     for (int e = 0; e < candidate->ends; e++) {
         const Segment *segment = &all[candidate->segment[e / 2]];
@@ -282,7 +286,8 @@ static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, 
         if (candidate->x[e] < scene->ring->left_x || candidate->x[e] > scene->ring->right_x)
             cut++; /* not above or below, where the stripe leaves the image along its whole length */
         for (size_t i = 0; candidate->own[e] && !(segment->laser < 0 && candidate->may_be_hidden) && i < pieces; i++)
-            if (all[i].laser == segment->laser && hidden_beyond(segment, e % 2, &all[i], scene, scene->plane[candidate->laser])) {
+            if (all[i].laser == segment->laser && hidden_beyond(segment, e % 2, &all[i], params->adjacent_px, scene,
+                                                                scene->plane[candidate->laser])) {
                 candidate->may_be_hidden |= segment->laser < 0;
                 if (segment->laser < 0) continue;
                 candidate->own[e] = 0;
@@ -754,7 +759,7 @@ static void descend(Search *search, int depth, const Candidate **member, int32_t
 
 /* Candidates must be sorted by laser. */
 static Best best_group(const Candidate *all, int count, int size, const Scene *scene) {
-    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY, -INFINITY};
+    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY, -INFINITY, {0}};
     const Candidate *member[MAX_MEMBERS] = {NULL};
     int32_t index[MAX_MEMBERS] = {0};
     Search search = {all, count, size, scene, NULL, &best, NULL, 0};
@@ -770,7 +775,7 @@ static Best best_group(const Candidate *all, int count, int size, const Scene *s
 
 /* The best group of chords of one to three lasers, by score and what is gained by the ends that agree. */
 static Best best_chords(const Candidate *all, int count, const Scene *scene, int *size) {
-    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY, -INFINITY};
+    Best best = {{-1, -1, -1}, -INFINITY, -INFINITY, -INFINITY, {0}};
     const Candidate *member[MAX_MEMBERS] = {NULL};
     int32_t index[MAX_MEMBERS] = {0};
     *size = 0;
@@ -809,6 +814,21 @@ typedef struct {
     int chords; /* lasers of the best group of chords */
 } Found;
 
+/* The ends of a group's segment beyond which a nearer surface hides the plane: 1 for the left one, 2 for the right one, 3 for
+   both. Light of an unknown laser that the group does not explain may be of this one. */
+static int covered_ends(const Segment *all, const Candidate *candidate, const Best *best, int size, int member, const Scene *scene) {
+    const Candidate *own = &candidate[best->index[member]];
+    const Segment *segment = &all[own->segment[0]];
+    int covered = 0;
+    for (int e = 0; e < 2; e++)
+        for (size_t i = 0; in_view(own->x[e], own->y[e], scene->ring) && i < scene->segments; i++)
+            if (is_of(&all[i], own->laser, scene) && !is_among((int32_t)i, best, candidate, size) &&
+                !meet_at(e ? segment->x_end : segment->x_start, segment, &all[i], scene->unions) &&
+                hidden_beyond(segment, e, &all[i], 0, scene, scene->plane[own->laser]))
+                covered |= 1 << e;
+    return covered;
+}
+
 /* Returns 0 if there is no memory. */
 static int find(const Segment *segment, size_t count, const Scene *scene, Found *found) {
     List *all = &found->segments;
@@ -820,26 +840,26 @@ static int find(const Segment *segment, size_t count, const Scene *scene, Found 
     all->used = count;
     if (!unite_collinear(segment, count, scene->unions, all)) return 0;
     int candidates = find_candidates(all->data, all->used, all->used - count, scene, found->candidate);
-    for (int size = 1; size <= MAX_MEMBERS; size++)
-        found->best[size - 1] = best_group(found->candidate, candidates, size, scene);
+    for (int size = 1; size <= MAX_MEMBERS; size++) {
+        Best *best = &found->best[size - 1];
+        *best = best_group(found->candidate, candidates, size, scene);
+        for (int i = 0; i < size && best->index[0] >= 0; i++)
+            best->covered[i] = covered_ends(all->data, found->candidate, best, size, i, scene);
+    }
     int chords = find_chords(all->data, all->used, all->used - count, scene, found->chord);
     found->best_chords = best_chords(found->chord, chords, scene, &found->chords);
     return 1;
 }
 
-/* Lasers and indices of a group's segments, its score, that of the runner-up, and at which ends of each a nearer surface hides
-   what is beyond: 1 for the left one, 2 for the right one, 3 for both. */
-static PyObject *group(const Found *found, int size, const Scene *scene) {
+/* Lasers and indices of a group's segments, its score, that of the runner-up, and the covered ends of each segment. */
+static PyObject *group(const Found *found, int size) {
     const Best *best = &found->best[size - 1];
     PyObject *lasers = PyTuple_New(size), *segments = PyTuple_New(size), *covered = PyTuple_New(size);
     for (int i = 0; lasers && segments && covered && i < size; i++) {
         const Candidate *candidate = best->index[0] < 0 ? NULL : &found->candidate[best->index[i]];
-        int ends = 0;
-        for (int e = 0; candidate && e < 2; e++)
-            ends |= (!candidate->own[e] && in_view(candidate->x[e], candidate->y[e], scene->ring)) << e;
         PyTuple_SetItem(lasers, i, PyLong_FromLong(candidate ? candidate->laser : -1));
         PyTuple_SetItem(segments, i, PyLong_FromLong(candidate ? candidate->segment[0] : -1));
-        PyTuple_SetItem(covered, i, PyLong_FromLong(ends));
+        PyTuple_SetItem(covered, i, PyLong_FromLong(best->covered[i]));
     }
     return Py_BuildValue("(NNddN)", lasers, segments, best->score, best->runner_up, covered);
 }
@@ -891,7 +911,7 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
     Py_END_ALLOW_THREADS
     PyObject *bytes = list_bytes(done, &found.segments);
     PyObject *result =
-        bytes ? Py_BuildValue("(N(NNN)N)", bytes, group(&found, 1, &scene), group(&found, 2, &scene), group(&found, 3, &scene),
+        bytes ? Py_BuildValue("(N(NNN)N)", bytes, group(&found, 1), group(&found, 2), group(&found, 3),
                               chord_group(&found, &scene))
               : NULL;
     free(found.candidate);
