@@ -45,6 +45,7 @@ from ringpose.kernels.lines import (
     Lens,
 )
 from ringpose.optics.feature_errors import (
+    AGREEMENT,
     BORDER_PX,
     FIT_DOF_CORRECTION,
     INSIDE_COLUMNS,
@@ -322,7 +323,7 @@ class EndParams:
     near_columns: float = 9.0
     """Columns beyond the edge in which the fitted level is required; farther out a stripe on the body may begin."""
     width_spread: float = WIDTH_SPREAD
-    blunt_gain: float = 3.0
+    blunt_gain: float = AGREEMENT
     """Gain in log likelihood, over all ends of an edge, by widths larger than the cross-section's, above which ends are
     blunt: optics do not blur more along a stripe than across it, so that the edge is chamfered or worn."""
     clipped_shape: float = 0.45

@@ -603,10 +603,6 @@ LINE_SIGMA_PX = 0.1
 END_SIGMA_PX = 0.4
 """Error of calibration and material that is added to the sigma of a break point."""
 
-MAX_SIGMA_IN_FIT_PX = 1.5
-"""Upper limit of a break point's sigma in this fit, so that two uncertain ones still predict the edge; the steps found
-there then confirm or contradict them."""
-
 POSSIBLE = ((0.03, 5.0), (0.0, RING_RADIUS_M.highest), (0.1, 1.1), (-1.0, 1.0 / RING_RADIUS_M.lowest))
 """Limits of depth and half band in metres, of the cosine between normal and optical axis, of |curvature| in 1/m."""
 
@@ -642,7 +638,8 @@ def ring_from_stripes(break_points: BreakPoints, rig: Rig, judged: JudgedRing | 
     `judged`: the ring by which the break points were judged, from which the iteration starts.
     """
     variance = break_points.covariance_px2[..., 0, 0] + END_SIGMA_PX**2
-    inflated = np.minimum(variance, MAX_SIGMA_IN_FIT_PX**2)[..., None, None] * np.eye(2)
+    # two uncertain ends still predict the edges; the steps found there then confirm or contradict them
+    inflated = np.minimum(variance, PREDICTED_SIGMA_PX**2)[..., None, None] * np.eye(2)
     allowed = replace(
         break_points, covariance_px2=inflated, face_sigma_px=np.hypot(break_points.face_sigma_px, LINE_SIGMA_PX)
     )

@@ -38,7 +38,6 @@ from ringpose.detect.stripes import (
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import (
-    AGREEMENT,
     CENTERS,
     FARTHEST_M,
     LASER,
@@ -49,6 +48,7 @@ from ringpose.kernels.lines import (
     X_END,
     X_START,
 )
+from ringpose.optics.feature_errors import AGREEMENT
 from ringpose.types.arrays import Array, Bool, Float64, Int32, Int64
 from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
 from ringpose.types.detection import (

@@ -20,7 +20,6 @@ from ringpose.detect.stripes import SAME_STRIPE_PX, lens
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import (
-    AGREEMENT,
     CENTERS,
     CLIPPED,
     LASER,
@@ -35,13 +34,10 @@ from ringpose.kernels.lines import (
     RingParams,
     UnionParams,
 )
+from ringpose.optics.feature_errors import AGREEMENT, CUT_OFF_PX
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
 from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import Camera, Rig
-
-CUT_OFF_PX = 10.0
-"""Distance from the image's border within which an end is due to the border, not to the face: only stripes with a
-complete cross-section are measured, up to 6.5 px beside the upper and lower border."""
 
 CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
 """Minimum score by number of segments, which foil hardly ever reaches; two segments have little redundancy."""

@@ -18,6 +18,7 @@ from ringpose.detect.edge_search import (
     ALONG_PX,
     CLOSE_REACH_PX,
     PREDICTED_SIGMA_PX,
+    WALK_REACH_PX,
     EdgeImage,
     EdgeTrace,
     RingFromStripes,
@@ -37,8 +38,7 @@ from ringpose.estimate.factors.edges import edges_of
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.ring_estimate import STRIPES_OF_A_PLANE
-from ringpose.estimate.selection import STRAIGHT_SIGMAS
-from ringpose.estimate.solver import OUTLIER_SIGMAS
+from ringpose.estimate.solver import ALARM_SIGMAS, OUTLIER_SIGMAS
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
 from ringpose.geometry.rays import intersect, undistorted_rays
@@ -85,12 +85,12 @@ def straight(curvature: float, sd: float) -> bool:
 
     That is straighter than those of the largest ring that a file may state.
     """
-    return (abs(curvature) + STRAIGHT_SIGMAS * sd) * RING_RADIUS_M.highest < 1.0
+    return (abs(curvature) + ALARM_SIGMAS * sd) * RING_RADIUS_M.highest < 1.0
 
 
 def curved(curvature: float, sd: float) -> bool:
     """Whether edges of that curvature (1/m, standard deviation `sd`) bend at least as much as the largest ring's."""
-    return (abs(curvature) - STRAIGHT_SIGMAS * sd) * RING_RADIUS_M.highest > 1.0
+    return (abs(curvature) - ALARM_SIGMAS * sd) * RING_RADIUS_M.highest > 1.0
 
 
 class RingEdges(NamedTuple):
@@ -290,9 +290,6 @@ def found_edges(
     )
 
 
-WIDE_REACH_PX = 6
-"""Half width of the search for other places of the edges than those found."""
-
 STEP_ON_EDGE_PX, DISTINCT_EDGE = 0.3, 7.0
 """Standard deviation of a step on the edge from the ring, and the density of these steps at the edge over that of the
 steps of what is behind: a third of the steps are on the edge."""
@@ -340,7 +337,7 @@ def uncertainty_factor(
     slope = at.wrt_step @ direction / np.einsum("nr,nr->n", at.wrt_ray, edges.step)
     information = float(slope @ np.linalg.solve(np.eye(len(slope)) + edges.common @ edges.common.T, slope))
     trace = outside_stripes(frame, edge_trace(arcs, None, rig.camera, ALONG_PX))
-    trace, steps = clear_steps(frame, trace, WIDE_REACH_PX, precise=True)
+    trace, steps = clear_steps(frame, trace, WALK_REACH_PX, precise=True)
     at = edge_distances(arcs, rays_beside(trace, steps.offset_px), trace.edge_sign)
     residual_px = at.distance_m * trace.edge_sign / trace.metres_per_px
     slope_px = at.wrt_step @ direction * trace.edge_sign / trace.metres_per_px

@@ -18,11 +18,13 @@ from ringpose.estimate.nuisance import FORM_SHARE, rig_errors, rig_jacobian
 from ringpose.geometry.ring import LIFT, TILT_ALONG, TILT_INWARD
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY
+from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import laser_parameters
 
 END_PROBABILITY = 3e-3
 """Probability that a break point is not on the edge of the face but somewhere else on its stripe: of 308 ends of 59
-rendered shots one was, before anything was rejected (`tests/benchmarks/fault_priors.py`)."""
+rendered shots one was, before anything was rejected (`tests/benchmarks/fault_priors.py`). The same that the visible
+points of an edge are of something else."""
 
 BOTH_ENDS_PROBABILITY = 3e-3
 """Probability that both of a stripe are: one occluder, or a surface that continues the face; 1 of 165 stripes (95 %
@@ -32,14 +34,11 @@ STRIPE_PROBABILITY = 1.2e-2
 """Probability that a stripe is on another surface, a ghost or a reflection; 2 of 165 stripes, of the same shots. Half
 of it is that of a layer of `LAYERS`, from which its ends come too."""
 
-EDGE_PROBABILITY = 3e-3
-"""Probability that the visible points of an edge are of something else, as that of an end."""
-
 PLANE_PROBABILITY = 1e-4
 """Probability that a light plane has moved since the calibration by more than its stability: no picture tells."""
 
-MOTION_PROBABILITY = FORM_PROBABILITY = 1e-2
-"""Probabilities that the target moves more, or the ring is less round or flat, than the prior admits. These priors are
+PRIOR_PROBABILITY = 1e-2
+"""Probability that the target moves more, or the ring is less round or flat, than the prior admits. These priors are
 statements of the user; a normal distribution is exceeded by 2.6 standard deviations as often."""
 
 RADIUS_PROBABILITY = 1e-3
@@ -78,8 +77,8 @@ class Fault(NamedTuple):
     probability: float
     columns: Float64[Array, "row error"]
     """Derivatives of the whitened residuals by its errors, of unit variance."""
-    laser: int = -1
-    """The laser whose stripe or plane it concerns; -1 for none."""
+    laser: int = UNLABELLED
+    """The laser whose stripe or plane it concerns; `UNLABELLED` for none."""
 
 
 def faults_of(measured: Measurements, residuals: Residuals, prior: Prior, fixed: FixedColumns) -> list[Fault]:
@@ -144,9 +143,9 @@ def _moved_planes(measured: Measurements, residuals: Residuals, prior: Prior, fi
 def _wider_priors(residuals: Residuals, prior: Prior, form: Float64[Array, "row amplitude"] | None) -> Iterator[Fault]:
     """A faster target, a ring of another form, and one of other radii, than assumed."""
     if len(residuals.rate_sds):
-        yield Fault("motion", MOTION_PROBABILITY, residuals.wrt_rates * (WIDER_BY * residuals.rate_sds))
+        yield Fault("motion", PRIOR_PROBABILITY, residuals.wrt_rates * (WIDER_BY * residuals.rate_sds))
     if form is not None:
-        yield Fault("form", FORM_PROBABILITY, _visible(FORM_SHARE * MIN_DEVIATION_M * form))
+        yield Fault("form", PRIOR_PROBABILITY, _visible(FORM_SHARE * MIN_DEVIATION_M * form))
     if prior.radii is not None:
         sd_m = prior.radii.sd_m[np.isfinite(prior.radii.radius_m)]
         rows = residuals.data_rows + np.arange(len(sd_m))
@@ -169,7 +168,7 @@ def _wrong_edges(measured: Measurements, residuals: Residuals) -> Iterator[Fault
         shape = np.vander((along - middle) / half, 3) * (of_edge * per_sigma)[:, None]
         columns = np.zeros((len(residuals.residual), shape.shape[1]))
         columns[many] = shape
-        yield Fault(f"edge {edge}", EDGE_PROBABILITY, columns)
+        yield Fault(f"edge {edge}", END_PROBABILITY, columns)
 
 
 def _point_rows(measured: Measurements) -> slice:

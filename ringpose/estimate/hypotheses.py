@@ -15,23 +15,19 @@ from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.ring_estimate import Estimate, edge_mean_square
 from ringpose.types.assumptions import MotionPrior, motion_prior
-from ringpose.types.detection import Rejection
+from ringpose.types.detection import UNLABELLED, Rejection
 from ringpose.types.finding import NOTHING, Finding
 
 PARAMETER_PENALTY = 4.0
-"""Penalty in chi-squared for each rejected number; by chance, rejecting one lowers chi-squared by 1."""
+"""Penalty in chi-squared for each rejected number; by chance, rejecting one lowers chi-squared by 1. The same for the
+cause where the image shows it, a surface in front of the ring beside a break point."""
 
 OUTLIER_PENALTY = 12.0
 """Penalty for any rejection: a factor of 400 in likelihood."""
 
-BOTH_PENALTY = 18.0
-"""Penalty for rejecting both break points of a stripe: two causes, or an occluder over both."""
-
-OCCLUDED_PENALTY = 4.0
-"""Penalty for rejecting a break point beside which the image shows a surface in front of the ring."""
-
-RELABEL_PENALTY = 20.0
-"""Penalty for exchanging lasers that were switched one by one; lower than for a stripe, as no number is rejected."""
+RARE_PENALTY = 18.0
+"""Penalty for rejecting both break points of a stripe (two causes, or an occluder over both), and for exchanging lasers
+that were switched one by one; the latter is lower than for a stripe, as no number is rejected."""
 
 MAX_PERMUTED = 3
 """Number of lasers up to which all assignments are tried."""
@@ -55,8 +51,8 @@ class Hypothesis(NamedTuple):
     penalty: float = 0.0
     """Penalty in chi-squared."""
     rejected: tuple[Rejection, ...] = ()
-    laser: int = -1
-    """Laser of the rejected break points or stripe; -1 if there is none."""
+    laser: int = UNLABELLED
+    """Laser of the rejected break points or stripe; `UNLABELLED` if there is none."""
     cause_seen: bool = False
     """Whether the image shows what occludes the rejected break point, and nothing at the stripe's other end."""
     exchanged: tuple[str, str] | None = None
@@ -172,12 +168,12 @@ def _wrong_points(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
         for number, rejection in zip(of_piece.tolist(), rejected, strict=True):
             rest = measured.with_points(np.arange(len(points.laser)) != number)
             occluded = bool(points.beside_occluder[number])
-            penalty = PARAMETER_PENALTY + (OCCLUDED_PENALTY if occluded else OUTLIER_PENALTY)
+            penalty = PARAMETER_PENALTY + (PARAMETER_PENALTY if occluded else OUTLIER_PENALTY)
             alone = occluded and int(points.beside_occluder[of_piece].sum()) == 1
             yield Hypothesis(rest, prior, Finding.WRONG_POINT, penalty, (rejection,), laser, cause_seen=alone)
         if len(of_piece) > 1:
             rest = measured.with_points(~is_of_piece)
-            penalty = BOTH_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
+            penalty = RARE_PENALTY + PARAMETER_PENALTY * (measured.stripe_numbers - rest.stripe_numbers)
             yield Hypothesis(rest, prior, Finding.WRONG_ENDS, penalty, tuple(dict.fromkeys(rejected)), laser)
 
 
@@ -203,7 +199,7 @@ def _wrong_assignments(measured: Measurements, prior: Prior, labelled: bool) -> 
         if list(order) != seen:
             changed = measured.relabelled(dict(zip(seen, order, strict=True)))
             given, fitting = (", ".join(names[laser] for laser in lasers) for lasers in (seen, order))
-            penalty = RELABEL_PENALTY if labelled else OUTLIER_PENALTY
+            penalty = RARE_PENALTY if labelled else OUTLIER_PENALTY
             rejected = (Rejection(what="assignment"),)
             yield Hypothesis(changed, prior, Finding.WRONG_LASERS, penalty, rejected, exchanged=(fitting, given))
 

@@ -19,6 +19,7 @@ from ringpose.estimate.linearization import (
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import nuisance_columns
 from ringpose.estimate.solver import (
+    ALARM_SIGMAS,
     NEAR_SIGMAS,
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
@@ -304,9 +305,6 @@ def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"]:
 
 
 # Whether the measurements agree
-
-ALARM_SIGMAS = 3.0
-"""Limit of the chi-squared test as a normal quantile: one right shot in seven hundred exceeds it by chance."""
 
 SUSPICIOUS_REDUCTION = 20.0
 """Reduction of chi-squared by leaving out one number from which a shot is examined: one shot in ten thousand."""

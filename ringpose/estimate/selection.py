@@ -29,7 +29,6 @@ from ringpose.estimate.hypotheses import (
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import FORM_SHARE, form_jacobian
 from ringpose.estimate.ring_estimate import (
-    ALARM_SIGMAS,
     DECISION_SIGMAS,
     MIN_FREEDOM,
     STRIPES_OF_A_PLANE,
@@ -40,20 +39,12 @@ from ringpose.estimate.ring_estimate import (
     is_suspicious,
     reweighted_ring,
 )
-from ringpose.estimate.solver import PRECISE_SIGMAS
+from ringpose.estimate.solver import ALARM_SIGMAS, PRECISE_SIGMAS
 from ringpose.estimate.stripe_evidence import evidence_with_radii, ring_evidence, single_stripe_estimates
 from ringpose.geometry.ring import CURVATURE, RingArcs
+from ringpose.optics.feature_errors import AGREEMENT
 from ringpose.types.detection import JudgedRing, Rejection
 from ringpose.types.finding import Finding
-
-CLEARLY = 6.0
-"""Margin in chi-squared by which the best hypothesis must beat the others: a factor of 20 in likelihood."""
-
-MORE_CLEARLY = ALARM_SIGMAS**2
-"""The same where a single degree of freedom decides."""
-
-STRAIGHT_SIGMAS = 3.0
-"""How many standard deviations a curvature may be below zero: two stripes alone hardly determine it."""
 
 CONFIRMED_BELOW = 2.0
 """Largest ratio of the curvature's sigmas without and with the other end of a stripe (`_without_unconfirmed_end`)."""
@@ -63,9 +54,6 @@ WIDER = Finding.FASTER | Finding.MOVED | Finding.FRAME_DIFFERS | Finding.NOT_ROU
 
 MAX_DEVIATION_M = 0.01
 """Largest deviation of a ring's form that is tried; one of more is not a launch-adapter ring."""
-
-COINCIDENCE = 3.0
-"""Log likelihood ratio from which two stripes agree with one ring too well for one of them to be on the background."""
 
 
 class Search(NamedTuple):
@@ -98,7 +86,7 @@ def explained_as_named(
     tried: list[Solved] = []
     lowest = inf if everything is None else min(everything.score, max_score)
     for hypothesis in hypotheses:
-        if hypothesis.penalty > lowest + MORE_CLEARLY:  # of this one and all that follow
+        if hypothesis.penalty > lowest + ALARM_SIGMAS**2:  # of this one and all that follow
             break
         other = solved(hypothesis)
         if other is not None:
@@ -191,7 +179,7 @@ def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas:
     if estimate is None:
         return None
     curvature_sd = sqrt(float(estimate.inverse[CURVATURE, CURVATURE]))
-    is_ring = estimate.arcs.curvature > -STRAIGHT_SIGMAS * curvature_sd and estimate.arcs.half_band_m > 0
+    is_ring = estimate.arcs.curvature > -ALARM_SIGMAS * curvature_sd and estimate.arcs.half_band_m > 0
     if not is_ring and Finding.WRONG_ENDS not in hypothesis.findings:
         return None
     wider = 0.0
@@ -232,7 +220,7 @@ def _margin(best: Solved, other: Solved) -> float:
     both_reject = Finding.WRONG_STRIPE in best.hypothesis.findings & other.hypothesis.findings
     two_left = len(best.hypothesis.measured.stripes) <= STRIPES_OF_A_PLANE
     without_edges = Finding.WRONG_EDGES in best.hypothesis.findings
-    return MORE_CLEARLY if (both_reject and two_left) or without_edges else CLEARLY
+    return ALARM_SIGMAS**2 if (both_reject and two_left) or without_edges else 2.0 * AGREEMENT
 
 
 def _explanation(best: Solved, everything: Solved | None, competing: Sequence[Solved]) -> Explanation:
@@ -273,7 +261,7 @@ def _single_stripes(solved: Solved) -> list[Solved]:
     assumptions = solved.hypothesis.prior.assumptions
     for laser, alone, estimate in single_stripe_estimates(measured, assumptions):
         evidence = max(ring_evidence(estimate, measured, laser), evidence_with_radii(solved, measured, alone, laser))
-        if edges_contradict or evidence < COINCIDENCE:
+        if edges_contradict or evidence < AGREEMENT:
             rejected = (Rejection(what="stripe", laser=measured.rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
             hypothesis = Hypothesis(alone, prior, Finding.WRONG_STRIPE, rejected=rejected, laser=laser)

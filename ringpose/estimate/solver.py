@@ -28,8 +28,9 @@ from ringpose.geometry.least_squares import huber_weights
 from ringpose.geometry.ring import CURVATURE, GENERATORS, TILT_ALONG, TILT_INWARD, TINY, TURN, MovingRing, RingArcs
 from ringpose.types.arrays import Array, Float64
 
-HUBER_SIGMAS = 3.0
-"""Residual of a break point or visible edge point from which it counts linearly while the iteration approaches."""
+ALARM_SIGMAS = 3.0
+"""Limit of a test as a normal quantile: one right shot in seven hundred exceeds it by chance. From such a residual a
+break point or visible edge point counts linearly while the iteration approaches."""
 
 OUTLIER_SIGMAS = 3.5
 """Visible edge points with a larger residual near the solution are rejected: one in two thousand by chance."""
@@ -171,9 +172,9 @@ def _robust_weights(
     The latter follow from the residuals that the last step predicts: before it, outliers hide among large residuals.
     """
     if redescending:
-        weights: Float64[Array, "row"] = (1.0 + (residual / HUBER_SIGMAS) ** 2) ** -2
+        weights: Float64[Array, "row"] = (1.0 + (residual / ALARM_SIGMAS) ** 2) ** -2
         return weights
-    return huber_weights(predicted, HUBER_SIGMAS)
+    return huber_weights(predicted, ALARM_SIGMAS)
 
 
 def _step(

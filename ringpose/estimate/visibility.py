@@ -3,28 +3,27 @@
 import numpy as np
 
 from ringpose.estimate.hypotheses import Explanation
+from ringpose.estimate.solver import ALARM_SIGMAS
 from ringpose.estimate.stripe_evidence import single_stripe_estimates
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import EDGE_SIGN, RingArcs, edge_distances, predicted_break_points, predicted_stripes
+from ringpose.optics.feature_errors import CUT_OFF_PX
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.rig import Rig
 
-BORDER_PX = 16.0
-"""Distance from the image's border within which the detector may miss a stripe or its end."""
-
-PREDICTION_SIGMAS = 3.0
-"""A stripe or break point is expected in view if it is predicted farther than this number of sigmas from the border."""
-
 
 def expected_in_view(best: Explanation, rig: Rig) -> tuple[Bool[Array, "laser edge=2"], Float64[Array, "laser"]]:
-    """Which break points should be in the image, and the share of each stripe's length on the face that should be."""
+    """Which break points should be in the image, and the share of each stripe's length on the face that should be.
+
+    That is where they are predicted farther than `ALARM_SIGMAS` from the border, where the detector may miss them.
+    """
     arcs = best.estimate.arcs
     if arcs.curvature < 0:
         arcs = arcs.with_center_opposite()
     with np.errstate(all="ignore"):
         points_m = predicted_break_points(arcs, rig.lasers.normal, rig.lasers.distance_m)
         sigma_px = break_point_sigmas_px(arcs, best.estimate.inverse, points_m, rig).reshape(len(points_m), -1)
-        margin_px = BORDER_PX + PREDICTION_SIGMAS * sigma_px.max(axis=1)
+        margin_px = CUT_OFF_PX + ALARM_SIGMAS * sigma_px.max(axis=1)
     distance_px = _distance_inside_px(points_m, rig)
     inside = distance_px > margin_px[:, None]  # false for NaN
     share: Float64[Array, "laser"] = np.maximum(inside.mean(axis=1), _share_by_single_stripes(best, rig))
@@ -40,7 +39,7 @@ def _share_by_single_stripes(best: Explanation, rig: Rig) -> Float64[Array, "las
     for _, _, estimate in single_stripe_estimates(best.measured, best.prior.assumptions):
         points_m = predicted_break_points(estimate.arcs, rig.lasers.normal, rig.lasers.distance_m)
         distance_px = _distance_inside_px(points_m, rig)
-        share = np.maximum(share, (distance_px > BORDER_PX).mean(axis=1))
+        share = np.maximum(share, (distance_px > CUT_OFF_PX).mean(axis=1))
     return share
 
 

@@ -36,6 +36,15 @@ MIN_COLUMNS = 10
 BORDER_PX = 3.0
 """Distance from the image's left or right border within which a stripe is regarded as truncated by the image."""
 
+CUT_OFF_PX = 10.0
+"""Distance from the image's border within which an end is due to the border, not to the face, and a stripe may be
+missed: only those with a complete cross-section are measured, up to 6.5 px beside the upper and lower border."""
+
+AGREEMENT = 3.0
+"""Gain in log likelihood by an end that agrees with a ring, the log of its range by chance over its sigma (method(7),
+3.14): also the loss by one that is not seen, the largest cost of one that agrees, and the least gain that is not by
+chance, in all comparisons of explanations: a factor of 20 in likelihood."""
+
 
 FULL_WIDTH_SIGMAS = 2.355
 """Full width at half maximum of a Gaussian section, in standard deviations."""

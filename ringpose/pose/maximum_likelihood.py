@@ -36,13 +36,14 @@ from ringpose.estimate.hypotheses import Explanation
 from ringpose.estimate.information import REDUNDANT_STRIPES, plane_evidence, prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.ring_estimate import MIN_FREEDOM, Estimate, edge_mean_square
-from ringpose.estimate.selection import COINCIDENCE, WIDER
+from ringpose.estimate.selection import WIDER
 from ringpose.estimate.separation import solution_separation
 from ringpose.estimate.stripe_evidence import edge_evidence
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
 from ringpose.measure import status
+from ringpose.optics.feature_errors import AGREEMENT
 from ringpose.pose.catalogue import likely_ring, ring_posterior
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.assumptions import IDEAL, Assumptions
@@ -250,7 +251,7 @@ def _doubts(best: Explanation, break_points: BreakPoints) -> Finding:
         return Finding.STRAIGHT | _open_velocity(best)
     if len(best.measured.edges.edge):
         single = len(set(best.measured.observations.laser.tolist())) == 1
-        if single and not edge_evidence(best.estimate, best.measured) >= COINCIDENCE:  # also if it is NaN
+        if single and not edge_evidence(best.estimate, best.measured) >= AGREEMENT:  # also if it is NaN
             return Finding.OTHER_SURFACE | _open_velocity(best)
         return NOTHING
     seen = break_points.seen

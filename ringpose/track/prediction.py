@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from ringpose.detect.edge_search import PredictedRing
-from ringpose.estimate.visibility import BORDER_PX, break_point_sigmas_px
+from ringpose.estimate.visibility import break_point_sigmas_px
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_pixels
 from ringpose.geometry.ring import STEP, RingArcs, edge_points, predicted_break_points
+from ringpose.optics.feature_errors import CUT_OFF_PX
 from ringpose.track.explanations import Track
 from ringpose.track.filters import mixed, predict
 from ringpose.track.states import RingStates, predict_states, retract
@@ -85,7 +86,7 @@ def _stripes_on_arc(rings: list[PredictedRing], rig: Rig, arcs: list[RingArcs]) 
         points_m[(points_m[..., 2] <= 0.0).any(axis=1)] = np.nan  # behind the camera
         position_px = project(points_m, camera)
         size_px = np.array([camera.image_width, camera.image_height]) - 1.0
-    inside = np.asarray(((position_px > BORDER_PX) & (position_px < size_px - BORDER_PX)).all(axis=-1))
+    inside = np.asarray(((position_px > CUT_OFF_PX) & (position_px < size_px - CUT_OFF_PX)).all(axis=-1))
     in_view = np.asarray(inside.any(axis=1))
     position_px = np.where(in_view[:, None, None], position_px, np.nan)
     sigma_px = np.where(in_view[:, None, None], sigma_px, np.nan)

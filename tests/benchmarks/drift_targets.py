@@ -19,7 +19,7 @@ from ring_streams import ASSUMED, measured_stream, moved, poses_before, within_s
 from scipy.stats import chi2, ncx2, norm, poisson
 
 from ringpose.estimate.pose_errors import circle_error, mahalanobis_squared, tilt_error_rad
-from ringpose.estimate.ring_estimate import ALARM_SIGMAS
+from ringpose.estimate.solver import ALARM_SIGMAS
 from ringpose.geometry.rotations import tilt_basis
 from ringpose.pose.rig_monitor import RigEvidence
 from ringpose.types.assumptions import motion_prior

@@ -9,7 +9,8 @@ from drawn_scene import DrawnScene, drawn_rig, true_break_points
 
 from ringpose.detect.rim import ring_faces
 from ringpose.geometry.rays import undistorted_pixels
-from ringpose.kernels.lines import AGREEMENT, SEGMENT_COLUMNS, CandidateParams, RingParams, UnionParams
+from ringpose.kernels.lines import SEGMENT_COLUMNS, CandidateParams, RingParams, UnionParams
+from ringpose.optics.feature_errors import AGREEMENT
 
 
 class Rules(NamedTuple):

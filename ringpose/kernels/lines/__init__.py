@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 
 from ringpose.kernels import column_names, kernel_record
-from ringpose.optics.feature_errors import FIT_DOF_CORRECTION, MIN_COLUMNS, MIN_SEGMENT_COLUMNS
+from ringpose.optics.feature_errors import AGREEMENT, FIT_DOF_CORRECTION, MIN_COLUMNS, MIN_SEGMENT_COLUMNS
 
 
 @kernel_record
@@ -82,10 +82,6 @@ class UnionParams:
 
 NEAREST_M, FARTHEST_M = 0.05, 3.0
 """Range of the depth of a ring; wider at both ends than the working range of 0.2 to 1 m."""
-
-AGREEMENT = 3.0
-"""Gain in log likelihood by each end that agrees with a ring, the log of its range by chance over its sigma (3.14): the
-loss by one that is not seen, too, the largest cost of one that agrees, and the least gain that is not by chance."""
 
 
 @kernel_record
