@@ -302,6 +302,28 @@ def shown_ghost(image: LaserImage) -> SubtractedGhost | None:
     return None if offset_px is None else _ghost_at(image, stripes, [offset_px], ())
 
 
+MIN_GHOSTS = 3
+"""Frames that must show a ghost for the rig to have it: fewer have no scatter. Twice as many are more than the stripes
+of a laser in a usual calibration; half would take one board's reflection for it."""
+
+
+def ghost_of_rig(ghosts: Sequence[SubtractedGhost]) -> LaserGhost | None:
+    """The ghost of a laser by those of its frames, with the scatter between these; None if too few show the same one.
+
+    A reflection of a board or a target, or another stripe, has another offset in every view.
+    """
+    offset_px, ratio = np.array([[each.offset_px, each.ratio] for each in ghosts]).reshape(-1, 2).T
+    same = np.abs(offset_px - np.median(offset_px)) < GHOST_ROWS if len(ghosts) else np.zeros(0, dtype=bool)
+    if np.count_nonzero(same) < max(MIN_GHOSTS, len(ghosts) / 2):
+        return None
+    return LaserGhost(
+        offset_px=float(offset_px[same].mean()),
+        offset_sd_px=float(offset_px[same].std(ddof=1)),
+        ratio=float(ratio[same].mean()),
+        ratio_sd=float(ratio[same].std(ddof=1)),
+    )
+
+
 class Pairs(NamedTuple):
     """Indices of two centres in one column."""
 

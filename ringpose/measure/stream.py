@@ -179,8 +179,14 @@ class Stream:
             setup = replace(setup, camera=self._motion_until(_last_stamp_s(source)))
             if self._warm is not None:
                 self._warm.tracker.camera = setup.camera
+        known = None if self._warm is None else self._warm.ghost
         detection, line = _measured(setup, source, partial(self._detection, setup))
-        return replace(self._next(line), shot=shot, detection=detection)
+        measured = replace(self._next(line), shot=shot, detection=detection)
+        ghost = None if self._warm is None else self._warm.ghost
+        if ghost is known or setup.rig.ghosts.keys() >= set(setup.rig.lasers.names):
+            return measured
+        warning = f"the stripes have {ghost}; run ringpose calibrate-planes, so that the rig file states it"
+        return replace(measured, warnings=(*measured.warnings, warning))
 
     def continue_after(self, line: PoseLine) -> None:
         """Take over what a line has shown about rig and ring that an earlier run of this stream has measured."""
@@ -231,7 +237,8 @@ class Stream:
         from ringpose.detect.pipeline import NOTHING_KNOWN
 
         prior = NOTHING_KNOWN if self._warm is None else self._warm.before(shot, setup.rig)
-        detection = setup.detection(shot, replace(prior, stripes_of=self._early, assumptions=assumptions))
+        known = setup if self._warm is None else replace(setup, rig=self._warm.with_ghost(setup.rig))
+        detection = known.detection(shot, replace(prior, stripes_of=self._early, assumptions=assumptions))
         if self._warm is None:
             return detection
         self._warm.after(shot, detection, prior)

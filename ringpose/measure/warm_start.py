@@ -1,5 +1,6 @@
 """What earlier shots show about the next one of a stream: its stripes by the track, their lasers, its background."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -8,6 +9,7 @@ import numpy as np
 from ringpose.detect.difference_images import laser_images
 from ringpose.detect.edge_search import PredictedRing
 from ringpose.detect.pipeline import MOVED_PX, Prior
+from ringpose.detect.stripes import MIN_GHOSTS, ghost_of_rig
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.track.lines import validity
 from ringpose.track.pipeline import Tracker
@@ -16,7 +18,7 @@ from ringpose.types.arrays import Array, Bool
 from ringpose.types.detection import BreakPoints, Detection, SubtractedGhost
 from ringpose.types.image import Frame, Shot
 from ringpose.types.pose import PoseLine
-from ringpose.types.rig import Rig
+from ringpose.types.rig import LaserGhost, Rig
 from ringpose.types.track import FusionStatus, TrackLine, Validity
 
 FOLLOWED = (Validity.VALID, Validity.PREDICTED)
@@ -51,6 +53,12 @@ class WarmStart:
         """Break points that the last shot with a pose showed."""
         self._ghosts: tuple[SubtractedGhost, ...] = ()
         """Ghosts of the last shot that had some: they are a property of the camera."""
+        self._shown: deque[SubtractedGhost] = deque(maxlen=2 * MIN_GHOSTS)
+        """Ghosts of the last frames that had one, until most of them determine ..."""
+        self.ghost: LaserGhost | None = None
+        """... the one that all stripes have, which serves the frames that do not show it, such as saturated ones."""
+        self._known: tuple[Rig, Rig] | None = None
+        """The last rig without and with that ghost."""
         self._is_subtracted = False
         """Whether a background was subtracted from the last shot ..."""
         self._background_shots = 0
@@ -64,12 +72,24 @@ class WarmStart:
         background = self._usable_background(shot, rig)
         return Prior(predicted=self.prediction(shot, rig), background=background, ghosts=self._ghosts)
 
+    def with_ghost(self, rig: Rig) -> Rig:
+        """The rig with the ghost that the stream has shown, for the lasers of which it states none."""
+        if self.ghost is None:
+            return rig
+        if self._known is None or self._known[0] is not rig:
+            ghosts = {**dict.fromkeys(rig.lasers.names, self.ghost), **rig.ghosts}
+            self._known = rig, replace(rig, ghosts=ghosts)
+        return self._known[1]
+
     def after(self, shot: Shot, detection: Detection, prior: Prior) -> None:
         """Keep what the detection of a shot shows about the following ones."""
         points = detection.break_points
         if isinstance(points, BreakPoints):
             self._seen = points.seen
         self._ghosts = detection.ghosts or self._ghosts
+        if self.ghost is None and detection.ghosts:
+            self._shown.extend(detection.ghosts)
+            self.ghost = ghost_of_rig(self._shown)
         dark = np.flatnonzero(shot.lasers == 0)
         if len(dark):
             self._background, self._background_shots = list(shot.frames)[int(dark[-1])], 0

@@ -192,6 +192,13 @@ class LaserGhost:
     ratio: Annotated[float, Key("Brightness of the copy over that of the light.", least=0.0, most=1.0)]
     ratio_sd: Annotated[float, Key("Standard deviation of the ratio from frame to frame.", least=0.0)]
 
+    def __str__(self) -> str:
+        """As in messages."""
+        return (
+            f"a ghost at {self.offset_px:+.2f} ± {self.offset_sd_px:.2f} px, "
+            f"{100 * self.ratio:.1f} ± {100 * self.ratio_sd:.1f} % as bright"
+        )
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaserBow:

@@ -1,5 +1,6 @@
 """Ghosts: a fainter copy of the laser light in rendered shots, moved by some rows (tests/data, ../shared/data)."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,9 @@ from composed_ghosts import moved, with_ghost
 from ringpose.detect.pipeline import Prior, detect
 from ringpose.files.images.shots import read_shot
 from ringpose.files.rigs import read_rig
-from ringpose.measure.stream import Setup
+from ringpose.measure.stream import Setup, Stream
 from ringpose.measure.warm_start import WarmStart
+from ringpose.track.explanations import TrackOptions
 from ringpose.track.pipeline import Tracker
 from ringpose.types.detection import BreakPointFlag, SubtractedGhost
 from ringpose.types.pose import PoseFlag
@@ -68,6 +70,32 @@ def stating(rig, offset_px, ratio):
     """The rig with this ghost of each laser."""
     ghost = LaserGhost(offset_px=offset_px, offset_sd_px=0.02, ratio=ratio, ratio_sd=0.02 * ratio)
     return replace(rig, ghosts=dict.fromkeys(rig.lasers.names, ghost))
+
+
+def test_a_stream_shows_the_ghost_of_its_stripes_and_removes_it_where_they_are_saturated(carried_data):
+    shot, rig = carried_shot(carried_data, "B_z0500_p01_dim")
+    stream = Stream(Setup(rig=rig), TrackOptions())
+    shots = [*[with_ghost(shot, 0.1, -10.0)] * 3, with_ghost(shot, 0.1, -10.0, light=20.0)]
+
+    *usual, full = (stream.measure(replace(each, stamp_s=each.stamp_s + number)) for number, each in enumerate(shots))
+
+    (warning,) = [warning for measured in (*usual, full) for warning in measured.warnings]
+    offset_px, ratio = map(float, re.search(r"a ghost at (\S+) ± \S+ px, (\S+) ±", warning).groups())
+    assert offset_px == pytest.approx(-10.0, abs=0.1)
+    assert ratio == pytest.approx(10.0, rel=0.05)
+    assert detect(shots[-1], rig).ghosts == ()
+    assert [ghost.ratio for ghost in full.detection.ghosts] == pytest.approx([0.1], rel=0.05)
+
+
+def test_a_stream_does_not_warn_of_a_ghost_that_the_rig_states(carried_data):
+    shot, rig = carried_shot(carried_data, "B_z0500_p01_dim")
+    stream = Stream(Setup(rig=stating(rig, -10.0, 0.1)), TrackOptions())
+    seen = with_ghost(shot, 0.1, -10.0)
+
+    measured = [stream.measure(replace(seen, stamp_s=seen.stamp_s + number)) for number in range(4)]
+
+    assert all(each.detection.ghosts for each in measured)
+    assert not any(each.warnings for each in measured)
 
 
 def stripes_beside(detection, clean):

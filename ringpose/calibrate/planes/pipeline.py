@@ -22,8 +22,9 @@ from ringpose.calibrate.planes.covariance import (
 )
 from ringpose.calibrate.planes.evidence import Remark, StripeEvidence, stripe_evidence
 from ringpose.calibrate.planes.quality import PlanesAssessment, planes_verdict
-from ringpose.calibrate.planes.stripes.extraction import ghost_of_rig, stripe_view, triangulated
+from ringpose.calibrate.planes.stripes.extraction import stripe_view, triangulated
 from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, lasers_in_masks
+from ringpose.detect.stripes import ghost_of_rig
 from ringpose.errors import DataError, UsageError
 from ringpose.geometry.board import LAYOUTS
 from ringpose.types.board import Board, BoardPose, BoardView

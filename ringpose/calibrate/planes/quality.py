@@ -138,10 +138,7 @@ def planes_summary(assessment: PlanesAssessment) -> list[str]:
     for laser in quality["lasers"]:
         lines += _laser_lines(laser, quality["standard_deviations"])
     for name, ghost in assessment.calibration.ghosts.items():
-        lines.append(
-            f"{name}: a ghost at {ghost.offset_px:+.2f} ± {ghost.offset_sd_px:.2f} px, "
-            f"{100 * ghost.ratio:.1f} ± {100 * ghost.ratio_sd:.1f} % as bright; detection will subtract it"
-        )
+        lines.append(f"{name}: {ghost}; detection will subtract it")
     for name, bow in assessment.calibration.bows.items():
         lines.append(
             f"{name}: its light plane is bent, by {bow.per_rad:.5f} ± {bow.sd_per_rad:.5f} rad one radian beside its "

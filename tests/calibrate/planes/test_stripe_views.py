@@ -18,7 +18,8 @@ from ringpose.calibrate.camera.parameters import CameraModel
 from ringpose.calibrate.camera.pipeline import calibrate_camera
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.quality import calibrated_rig
-from ringpose.calibrate.planes.stripes.extraction import ghost_of_rig, stripe_view
+from ringpose.calibrate.planes.stripes.extraction import stripe_view
+from ringpose.detect.stripes import ghost_of_rig
 from ringpose.geometry.rotations import angle_between
 from ringpose.types.board import Board
 from ringpose.types.calibration import PlanesCalibration

@@ -20,7 +20,7 @@ import numpy as np
 from ringpose.calibrate.boards.patterns.image_patch import in_full_image, reduced
 from ringpose.calibrate.boards.pose import board_pose
 from ringpose.detect.difference_images import LaserImage
-from ringpose.detect.stripes import GHOST_ROWS, find_stripes, shown_ghost
+from ringpose.detect.stripes import find_stripes, shown_ghost
 from ringpose.geometry.board import black_rectangles, marker_corners, outline_m
 from ringpose.geometry.least_squares import robust_std
 from ringpose.geometry.rays import intersect, project, rays, undistorted_pixels
@@ -29,7 +29,7 @@ from ringpose.types.board import Board, BoardPose, BoardView
 from ringpose.types.calibration import StripeView
 from ringpose.types.detection import SubtractedGhost
 from ringpose.types.image import Frame, Shot, board_image, dark_image
-from ringpose.types.rig import Camera, LaserGhost
+from ringpose.types.rig import Camera
 
 NEAR_PX = 1.5
 """Centres within this distance of a line belong to it, before its own scatter is known."""
@@ -204,28 +204,6 @@ def _shown_ghost(
         stamp_s=frame.stamp_s,
     )
     return shown_ghost(image)
-
-
-MIN_GHOSTS = 3
-"""Frames that must show a ghost for the rig to have it: fewer have no scatter. Twice as many are more than the stripes
-of a laser in a usual calibration; half would take one board's reflection for it."""
-
-
-def ghost_of_rig(ghosts: Sequence[SubtractedGhost]) -> LaserGhost | None:
-    """The ghost of a laser by those of its frames, with the scatter between these; None if too few show the same one.
-
-    A reflection of the board, or another stripe, has another offset in every view.
-    """
-    offset_px, ratio = np.array([[each.offset_px, each.ratio] for each in ghosts]).reshape(-1, 2).T
-    same = np.abs(offset_px - np.median(offset_px)) < GHOST_ROWS if len(ghosts) else np.zeros(0, dtype=bool)
-    if np.count_nonzero(same) < max(MIN_GHOSTS, len(ghosts) / 2):
-        return None
-    return LaserGhost(
-        offset_px=float(offset_px[same].mean()),
-        offset_sd_px=float(offset_px[same].std(ddof=1)),
-        ratio=float(ratio[same].mean()),
-        ratio_sd=float(ratio[same].std(ddof=1)),
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
