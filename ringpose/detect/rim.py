@@ -70,6 +70,10 @@ ALIKE_DISPLACED_M, ALIKE = 0.04, 1.15
 """The same for a stripe parallel to the plane and of the length of those on it, and the maximum ratio of their lengths.
 With one of the selected stripes 10 px beside its place (0.5 m, lasers at 10 degrees) the third is 24 to 35 mm off."""
 
+BEFORE_NOTHING = CandidateParams()
+BEFORE_A_FACE = CandidateParams(spill_penalty=0.0)
+"""How candidates are ranked: if the step is small, the stripes of a face behind them are nearly on their lines."""
+
 MOVED_RAD = math.radians(0.6)
 """Largest turn of a light plane since the calibration that is considered, seen from the camera."""
 
@@ -174,7 +178,12 @@ class Faces(NamedTuple):
     chords: Chords
 
 
-def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> Face | None:
+def ring_face(
+    segments: Float64[Array, "segment column=12"],
+    lasers: Sequence[int],
+    rig: Rig,
+    candidates: CandidateParams = BEFORE_NOTHING,
+) -> Face | None:
     """The foremost face, from as many lasers as are consistent; None if no segment can be on a face.
 
     It is the one of the best score, unless there is one in front of it. `lasers` are those that an unlabelled segment
@@ -182,9 +191,7 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
     """
     unlabelled = sum(1 << laser for laser in lasers)
     ring = _ring_params(rig.camera)
-    every, best_groups, chords = ring_faces(
-        segments, unlabelled, planes_per_m(rig), ring, UnionParams(), CandidateParams()
-    )
+    every, best_groups, chords = ring_faces(segments, unlabelled, planes_per_m(rig), ring, UnionParams(), candidates)
     if chords.are_convincing and len(chords.chords) > 1:
         return _foremost(face_of_both_arcs(chords, every, rig), segments, rig)
     groups: list[Group | None] = list(best_groups)
@@ -541,7 +548,7 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Ri
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
     ends_m = _ends_m(others[which], lasers[number], rig)
     rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]
-    nearer = ring_face(rows, face.lasers, rig) if len(rows) > 1 else None
+    nearer = ring_face(rows, face.lasers, rig, BEFORE_A_FACE) if len(rows) > 1 else None
     if nearer is not None and len(nearer.lasers) > 1 and (nearer.is_confirmed or nearer.score > face.score):
         nearer_m, _, _, normal = _plane_of(nearer.segments, nearer.lasers, rig)
         parallel = float(np.linalg.norm(normal - plane.normal)) < PARALLEL_WITHIN
