@@ -12,6 +12,7 @@ import numpy as np
 
 from ringpose.estimate.covariance import GRASP_UNKNOWN_FROM_M, WEAK_SD, exceeds_sd
 from ringpose.types.arrays import Array, Float64
+from ringpose.types.detection import BreakPoints, Detection
 from ringpose.types.pose import PoseLine, PoseResult, RingPose
 
 
@@ -48,16 +49,38 @@ class Bound:
         }
 
 
-def determined_quantities(line: PoseLine, bound: Bound | None, radius_inner_m: float) -> tuple[str, ...]:
+def determined_quantities(
+    exact: Detection, line: PoseLine, bound: Bound | None, radius_inner_m: float
+) -> tuple[str, ...]:
     """Which of `center` and `grasp` a shot determines within the limits from which `pose` flags them.
 
-    `line` is the pose from features without errors: the grasp point is also determined where a bound of all parameters
-    does not exist, by its stated covariance.
+    `exact` are its features without errors, `line` is the pose from these: the grasp point is also determined where a
+    bound of all parameters does not exist, by its stated covariance, if the shot shows that it is on a ring.
     """
     grasp_m2 = None if line.pose is None else line.pose.covariance_grasp_m2
     of_center = bound is not None and not exceeds_sd(bound.center_m2, WEAK_SD * radius_inner_m)
     of_grasp = grasp_m2 is not None and not exceeds_sd(grasp_m2, GRASP_UNKNOWN_FROM_M)
+    of_grasp = of_grasp and shows_a_ring(exact, has_radii=line.priors is not None and line.priors.radius is not None)
     return tuple(name for name, is_known in (("center", of_center), ("grasp", of_grasp)) if is_known)
+
+
+def shows_a_ring(exact: Detection, *, has_radii: bool) -> bool:
+    """Whether a shot has a number that could contradict a ring: else what it shows may be any surface.
+
+    A stripe's line and its two ends are four numbers, of as many unknowns: the plane's distance and slope along the
+    stripe, the place of the ends on it and the width between them. A bar, a board or a part of the body has such ends,
+    too. Visible edges, a second stripe, or the ends on both arcs with given radii (four, of the middle and one unknown
+    distance of the stripe from the centre) have more numbers than unknowns. Without radii, ends on both arcs are also
+    those of two bars of equal width.
+    """
+    points = exact.break_points
+    if not isinstance(points, BreakPoints):
+        return False
+    if exact.ring_edges is not None and len(exact.ring_edges.edge):
+        return True
+    seen = np.array([arc.seen for arc in points.arcs])
+    on_both_arcs = bool(seen.all(axis=(0, 2)).any()) and len(seen) > 1
+    return int(seen.any(axis=(0, 2)).sum()) > 1 or (has_radii and on_both_arcs)
 
 
 def cramer_rao(line: PoseLine | PoseResult) -> Bound | None:

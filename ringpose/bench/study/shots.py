@@ -375,7 +375,7 @@ def shown_by(scene: Scene, with_radii: Iterable[bool]) -> Shown:
     return Shown(
         stripes=int(np.any([arc.seen.any(axis=1) for arc in arcs], axis=0).sum()) if arcs else 0,
         bounds=bounds,
-        determined={known: determined_quantities(lines[known], bounds[known], inner_m) for known in lines},
+        determined={known: determined_quantities(exact, lines[known], bounds[known], inner_m) for known in lines},
     )
 
 

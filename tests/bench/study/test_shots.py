@@ -441,6 +441,26 @@ def test_a_center_is_determined_only_within_the_limit_of_its_flag(study):
     assert (small.determined[False], large.determined[False]) == (("center", "grasp"), ("grasp",))
 
 
+@pytest.mark.parametrize(
+    ("radius_m", "light", "stripes", "without_radii", "with_radii"),
+    [
+        (0.055, "dim", 1, False, True),  # both arcs: without radii these may be two bars
+        (0.08, "dim", 1, False, False),  # one arc: two ends may be those of any surface
+        (0.08, "normal", 1, True, True),
+        (0.11, "dim", 2, False, True),
+        (0.3, "dim", 3, True, True),
+    ],
+)
+def test_a_grasp_point_is_determined_where_the_shot_shows_a_ring(radius_m, light, stripes, without_radii, with_radii):
+    sizes = read_study(study_path("sizes"))
+    setting = {"distance_m": 0.3, "light": light, "ring_radius_outer_m": radius_m, "tilt_rad": 0.1}
+
+    shown = shown_by(scene_of(sizes, 0, setting), [False, True])
+
+    assert shown.stripes == stripes
+    assert [("grasp" in shown.determined[known]) for known in (False, True)] == [without_radii, with_radii]
+
+
 @pytest.mark.parametrize(("seed", "index"), [(21, 6), (26, 54)])
 def test_two_tilts_about_one_stripe_whose_ellipses_fit_leave_the_pose_open(seed, index):
     """A small ring that one stripe crosses: its lit edges are the image of two circles through that stripe."""
