@@ -64,6 +64,8 @@ class Quantities(NamedTuple):
     center_m: Float64[Array, "3"]
     radius_m: Float64[Array, "2"]
     grasp_m: Float64[Array, "3"]
+    mean_m: Float64[Array, "3"]
+    """Where the mean of the break points' rays meets the ring's plane."""
     outward: Float64[Array, "3"]
     """Unit vector in the ring's plane at the grasp point, from the centre."""
     jacobian: Float64[Array, "15 7"]
@@ -133,6 +135,7 @@ def quantities(estimate: Estimate) -> Quantities:
         center_m=arcs.center,
         radius_m=arcs.radius_m,
         grasp_m=mean_m - distance_m * outward,
+        mean_m=mean_m,
         outward=outward,
         jacobian=jacobian,
         along=face_direction,
@@ -254,6 +257,11 @@ def _within(difference: Float64[Array, "n"], covariance: Float64[Array, "n n"]) 
     return squared <= DIFFERS * len(difference)
 
 
+MAX_BIAS_SHARE = 4.0 / 9.0
+"""Largest second-order bias of the centre, in its standard deviations, for which a Gaussian describes the centre: a
+tilt by three sigmas moves the centre by nine times the bias, four of its sigmas."""
+
+
 def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate, values: Quantities) -> float:
     """Second-order shift of the centre towards the band when the ring tilts or turns by a standard deviation.
 
@@ -271,11 +279,44 @@ def second_order_bias_m(covariance: Float64[Array, "15 15"], estimate: Estimate,
 def with_second_order(
     covariance: Float64[Array, "15 15"], bias_m: float, estimate: Estimate, values: Quantities
 ) -> Float64[Array, "15 15"]:
-    """The covariance with the second moment 3 bias^2 of the centre's second-order shift."""
+    """The covariance with the second moment 3 bias^2 of the centre's second-order shift.
+
+    Where little else is uncertain towards the band, as with given radii, at least with that of `MAX_BIAS_SHARE`.
+    """
+    inward = estimate.arcs.axes[0]
+    variance = float(inward @ covariance[CENTER, CENTER] @ inward)
     shift = np.zeros(len(covariance))
-    shift[CENTER] = sqrt(3.0) * bias_m * estimate.arcs.axes[0]
+    shift[CENTER] = sqrt(max(3.0 * bias_m**2, (bias_m / MAX_BIAS_SHARE) ** 2 - variance)) * inward
     shift[CENTER_IN_PLANE] = values.basis @ shift[CENTER]
     total: Float64[Array, "15 15"] = covariance + shift[:, None] * shift
+    return total
+
+
+def with_unknown_distance(
+    covariance: Float64[Array, "15 15"], estimate: Estimate, values: Quantities
+) -> Float64[Array, "15 15"]:
+    """The covariance of the grasp point of a single stripe, whose distance u from the centre is open, Eq. (5.14).
+
+    What one stripe shows is symmetric about it in the ring's plane: the centre, and with it the grasp point beside the
+    stripe, may as well lie on the other side. Visible edges show the side. And where u is about 0, the ends seem to
+    determine the radii, as they depend on its square: an error of given radii shifts the grasp point by
+    (r_o - r_i)^2 / (4 r_i r_o) of itself.
+    """
+    residuals = estimate.residuals
+    lasers = set(residuals.observations.laser.tolist())
+    if len(lasers) != 1 or len(estimate.edge_residuals):
+        return covariance
+    along = cross(residuals.observations.rig.lasers.normal[lasers.pop()], values.normal)
+    along /= np.linalg.norm(along)
+    aside = cross(values.normal, along)
+    shift = np.zeros(len(covariance))
+    shift[GRASP] = 2.0 * float((values.grasp_m - values.mean_m) @ aside) * aside
+    given, (inner_m, outer_m) = estimate.prior.radii, values.radius_m.tolist()
+    radial = np.zeros(len(covariance))
+    if given is not None:
+        share = (outer_m - inner_m) ** 2 / (4.0 * inner_m * outer_m)
+        radial[GRASP] = share * float(np.nanmax(given.sd_m)) * values.outward
+    total: Float64[Array, "15 15"] = covariance + shift[:, None] * shift + radial[:, None] * radial
     return total
 
 

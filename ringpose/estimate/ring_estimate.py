@@ -119,17 +119,23 @@ class Estimate:
         """Log determinant of the information on ring and common errors: how much the data narrow their priors."""
         return float(np.linalg.slogdet(self.joint_information)[1])
 
-    @property
-    def largest_reduction(self) -> float:
-        """Largest decrease of chi-squared by leaving out one row of a stripe or break point.
+    @cached_property
+    def leverages(self) -> Float64[Array, "few"]:
+        """Leverages h = a M^-1 a^T of the rows a of stripes and break points in the joint problem of ring and errors.
 
-        r^2 / (1 - h), with the leverage h = a M^-1 a^T of its row a in the joint problem of ring and common errors.
+        The others predict such a number with the variance h / (1 - h) of its own, and not at all if h is 1.
         """
         few = np.flatnonzero(~self.residuals.observations.many)
         rows = np.concatenate([self.residuals.jacobian, self.nuisance], axis=1)[few]
-        leverage = (np.linalg.solve(self.joint_information, rows.T) * rows.T).sum(axis=0)
-        free = leverage < 1.0 - 1e-3  # a number that determines a parameter alone contradicts nothing
-        return float((self.remaining[few][free] ** 2 / (1.0 - leverage[free])).max(initial=0.0))
+        leverages: Float64[Array, "few"] = (np.linalg.solve(self.joint_information, rows.T) * rows.T).sum(axis=0)
+        return leverages
+
+    @property
+    def largest_reduction(self) -> float:
+        """Largest decrease of chi-squared by leaving out one row of a stripe or break point, r^2 / (1 - h)."""
+        few, leverages = np.flatnonzero(~self.residuals.observations.many), self.leverages
+        free = leverages < 1.0 - 1e-3  # a number that determines a parameter alone contradicts nothing
+        return float((self.remaining[few][free] ** 2 / (1.0 - leverages[free])).max(initial=0.0))
 
     @cached_property
     def curvature_alone(self) -> tuple[float, float]:

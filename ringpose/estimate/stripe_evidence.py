@@ -25,6 +25,9 @@ LINEAR_SIGMAS = 100.0
 """Standard deviation of a predicted number, in those of the measured one, from which its error is not linear and does
 not count: with more, the prediction of right stripes by visible edges is often missed."""
 
+BOTH_ARCS = 4
+"""Ends of a stripe that crosses both arcs."""
+
 
 def single_stripe_estimates(
     measured: Measurements, assumptions: Assumptions
@@ -139,3 +142,21 @@ def edge_evidence(estimate: Estimate, measured: Measurements) -> float:
     predicted = whitening.T @ free @ whitening + anywhere
     log_ring = 0.5 * (np.linalg.slogdet(predicted / (2.0 * np.pi))[1] - missed)
     return float(log_ring + np.log(range_px).sum())
+
+
+def ends_evidence(estimate: Estimate, measured: Measurements) -> float:
+    """Log likelihood ratio of the ends of a single stripe on both arcs of a ring, against one of them anywhere.
+
+    An end is r / (1 - h) off the others' prediction, whose variance with its own is 1 / (1 - h), both in its standard
+    deviations: ln N(r / (1 - h); 0, 1 / (1 - h)) + ln(range), Eq. (5.13). The range is the length of what is seen. The
+    evidence is the end that the others predict best; with fewer than four ends there is none.
+    """
+    points = measured.points
+    if len(set(points.ends.tolist())) < BOTH_ARCS:
+        return -np.inf
+    ends = estimate.residuals.observations.view.ends
+    rows = slice(ends, ends + len(points.x))
+    free, remaining = 1.0 - estimate.leverages[rows], estimate.remaining[rows]
+    log_range = np.log(np.ptp(points.x) / points.sigma_x)
+    evidence = log_range + 0.5 * np.log(free / (2.0 * np.pi)) - 0.5 * remaining**2 / free
+    return float(evidence.max())

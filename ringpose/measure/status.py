@@ -63,8 +63,7 @@ RULES = (
         findings=Finding.CENTER_OPEN | UNRELIABLE,
         meaning=(
             "The centre's standard deviation is over 5 % of the radius, or it is not determined (curvature less than "
-            "twice its standard deviation), or probable tilts displace the centre along an arc so far that a "
-            "covariance does not describe its error; the normal and the grasp point may still be accurate."
+            "twice its standard deviation); the normal and the grasp point may still be accurate."
         ),
         remedy="Give the ring's radius, show its edges in ambient light, or step back.",
         forbids=frozenset({"center"}),

@@ -29,6 +29,7 @@ from ringpose.estimate.covariance import (
     second_order_bias_m,
     standard_deviation,
     with_second_order,
+    with_unknown_distance,
 )
 from ringpose.estimate.explanation import RADIUS_SIGMAS, explain
 from ringpose.estimate.factors.prior import Prior
@@ -38,7 +39,7 @@ from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.estimate.ring_estimate import MIN_FREEDOM, Estimate, edge_mean_square
 from ringpose.estimate.selection import WIDER
 from ringpose.estimate.separation import solution_separation
-from ringpose.estimate.stripe_evidence import edge_evidence
+from ringpose.estimate.stripe_evidence import edge_evidence, ends_evidence
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
 from ringpose.geometry.ring import EDGE_SIGN
@@ -162,13 +163,14 @@ def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
         return result, best.findings
     bias_m, inflated = second_order_bias_m(covariance, estimate, pose_quantities), covariance
     covariance = with_second_order(covariance, bias_m, estimate, pose_quantities)
+    covariance = with_unknown_distance(covariance, estimate, pose_quantities)
     origin = estimate.arcs.origin
     if abs(float(origin @ pose_quantities.normal)) < EDGE_ON_BELOW * sqrt(float(origin @ origin)):
         return replace(result, pose=NoPose.EDGE_ON), best.findings
     reported = _determined(best, pose_quantities, covariance)
     if not reported.grasp and not reported.normal:
         return replace(result, pose=_why_nothing(best)), best.findings
-    findings = best.findings | _open(estimate, pose_quantities, covariance, reported, bias_m) | _unverified(best)
+    findings = best.findings | _open(pose_quantities, covariance, reported) | _unverified(best)
     pose = replace(
         _reported_pose(estimate, pose_quantities, covariance if measured.has_covariances else None, reported),
         residual_rms_px=_residual_rms_px(estimate, measured),
@@ -242,7 +244,8 @@ def _doubts(best: Explanation, break_points: BreakPoints) -> Finding:
     """What shows that something else than a ring may have left the shot, such as the side of a board.
 
     A ring is shown by its curvature, or by given radii; without visible edges also by most ends of its stripes. The two
-    ends of a single stripe alone may be those of any surface: visible edges must predict it.
+    ends of a single stripe alone may be those of any surface: visible edges must predict it, or, with given radii, its
+    ends on both arcs each other. Without radii these would also be two bars of equal width.
     """
     if not best.estimate.converged:
         return Finding.NOT_CONVERGED | _open_velocity(best)
@@ -254,12 +257,14 @@ def _doubts(best: Explanation, break_points: BreakPoints) -> Finding:
         if single and not edge_evidence(best.estimate, best.measured) >= AGREEMENT:  # also if it is NaN
             return Finding.OTHER_SURFACE | _open_velocity(best)
         return NOTHING
-    seen = break_points.seen
+    seen, is_alone = break_points.seen, len(best.measured.stripes) == 1
+    if is_alone and best.prior.radii is not None and ends_evidence(best.estimate, best.measured) >= AGREEMENT:
+        return Finding.CENTER_OPEN | Finding.RADIUS_OPEN  # not linear in the stripe's distance from the centre
     clear = int((seen & (break_points.flags & int(BreakPointFlag.UNCLEAR) == 0)).sum())
     one_missing = bool((seen.sum(axis=1)[break_points.of_lasers] < len(EDGE_SIGN)).any())
     if clear < ENDS_OF_A_RING or (clear == ENDS_OF_A_RING and one_missing):
         return Finding.FEW_ENDS | _open_velocity(best)
-    return Finding.ONE_STRIPE_ALONE if len(best.measured.stripes) == 1 else NOTHING
+    return Finding.ONE_STRIPE_ALONE if is_alone else NOTHING
 
 
 def _confirmed(result: PoseResult, best: Explanation, doubts: Finding) -> PoseResult:
@@ -345,10 +350,6 @@ def _residual_rms_px(estimate: Estimate, measured: Measurements) -> float:
 MAX_RADIUS_M = 5.0
 """Larger rings do not exist: a larger radius comes from break points that are wrong in the same way."""
 
-MAX_BIAS_SHARE = 4.0 / 9.0
-"""Largest second-order bias of the centre, in its standard deviations, for which a Gaussian describes the centre: a
-tilt by three sigmas moves the centre by nine times the bias, four of its sigmas."""
-
 
 class _Determined(NamedTuple):
     """Which quantities are determined well enough to be reported."""
@@ -411,21 +412,13 @@ def _reported_pose(
     )
 
 
-def _open(
-    estimate: Estimate,
-    pose_quantities: Quantities,
-    covariance: Float64[Array, "15 15"],
-    reported: _Determined,
-    bias_m: float,
-) -> Finding:
-    """What is not determined, has a sigma over `WEAK_SD`, or is not described by a Gaussian."""
+def _open(pose_quantities: Quantities, covariance: Float64[Array, "15 15"], reported: _Determined) -> Finding:
+    """What is not determined, or has a sigma over `WEAK_SD`."""
     limit_m = WEAK_SD * min(map(abs, pose_quantities.radius_m.tolist()))
-    inward = estimate.arcs.axes[0]
-    biased = bias_m > MAX_BIAS_SHARE * sqrt(float(inward @ covariance[CENTER, CENTER] @ inward))
     findings = NOTHING if reported.normal else Finding.NORMAL_OPEN
     if not reported.grasp:
         findings |= Finding.GRASP_OPEN
-    if not reported.center or exceeds_sd(covariance[CENTER, CENTER], limit_m) or biased:
+    if not reported.center or exceeds_sd(covariance[CENTER, CENTER], limit_m):
         findings |= Finding.CENTER_OPEN
     if not reported.radius.all() or max(covariance[5, 5], covariance[6, 6]) > limit_m**2:
         findings |= Finding.RADIUS_OPEN

@@ -142,16 +142,60 @@ def test_two_stripes_on_both_arcs_show_one_ring(laser):
     assert (np.abs(pose.center_m - ring.center_m) < 5.0 * center_sd_m(pose)).all()
 
 
+def one_stripe(points):
+    """The stripe of the left laser alone, which passes 90 mm beside the centre."""
+    others = np.arange(3) != 0
+    ends = np.repeat(others[:, None], 2, axis=1)
+    return replace(points.without(ends, others), opposite=points.opposite.without(ends, others))
+
+
+def radii(radius_m):
+    return KnownRadii(radius_m=radius_m, sd_m=np.full(2, 1e-4))
+
+
 def test_one_stripe_on_both_arcs_does_not_contradict_the_true_radii():
     points = seen_on_both_arcs(whole_ring(), np.random.default_rng(7))
-    others = np.arange(3) != 0  # the stripe that is left passes 90 mm beside the centre
-    ends = np.repeat(others[:, None], 2, axis=1)
-    alone = replace(points.without(ends, others), opposite=points.opposite.without(ends, others))
-    known = KnownRadii(radius_m=RADIUS_M, sd_m=np.full(2, 1e-4))
-    other = KnownRadii(radius_m=0.7 * RADIUS_M, sd_m=np.full(2, 1e-4))
 
-    result = pose_result(alone, RIGS["B"], known=known)
-    contradicted = pose_result(points, RIGS["B"], known=other)
+    result = pose_result(one_stripe(points), RIGS["B"], known=radii(RADIUS_M))
+    contradicted = pose_result(points, RIGS["B"], known=radii(0.7 * RADIUS_M))
 
     assert PoseFlag.RADIUS_INCONSISTENT not in result.flags  # its ends show the radii only if it passed the centre
     assert PoseFlag.RADIUS_INCONSISTENT in contradicted.flags
+
+
+def test_one_stripe_on_both_arcs_shows_a_ring_whose_radii_are_given():
+    rng, ring, weak = np.random.default_rng(8), whole_ring(), 0
+    for _ in range(20):
+        points = one_stripe(seen_on_both_arcs(ring, rng))
+        result = pose_result(points, RIGS["B"], known=radii(RADIUS_M))
+        weak += PoseFlag.GRASP_WEAK in result.flags
+        from_center_m = result.pose.grasp_m - ring.center_m
+        outward = from_center_m / np.linalg.norm(from_center_m)
+        sd_m = np.sqrt(outward @ result.pose.covariance_grasp_m2 @ outward)
+        assert sd_m < 2e-3
+        assert abs(from_center_m @ outward - RADIUS_M.mean()) < 5.0 * sd_m  # whichever side of the stripe it is on
+        assert abs(from_center_m @ ring.normal) < 1e-3
+        assert {PoseFlag.NORMAL_WEAK, PoseFlag.CENTER_WEAK, PoseFlag.RADIUS_WEAK} <= set(result.flags)
+
+        # without radii these may be the ends on two bars of equal width
+        assert PoseFlag.GRASP_WEAK in pose_result(points, RIGS["B"]).flags
+    assert weak <= 2
+
+
+def with_moved_end(points):
+    moved = points.opposite.position_px.copy()
+    moved[0, 1, 0] += 12.0
+    return replace(points, opposite=replace(points.opposite, position_px=moved))
+
+
+@pytest.mark.parametrize(
+    ("changed", "scale"),
+    [(with_moved_end, 1.0), (lambda points: points, 0.9), (lambda points: replace(points, opposite=None), 1.0)],
+    ids=["end elsewhere", "other ring", "one arc"],
+)
+def test_ends_of_one_stripe_that_do_not_fit_the_given_radii_leave_its_grasp_point_weak(changed, scale):
+    points = changed(one_stripe(seen_on_both_arcs(whole_ring(), np.random.default_rng(9))))
+
+    result = pose_result(points, RIGS["B"], known=radii(scale * RADIUS_M))
+
+    assert PoseFlag.GRASP_WEAK in result.flags

@@ -39,14 +39,16 @@ def test_one_stripe_on_a_surface_behind_the_ring_is_not_ok_beside_visible_edges(
     assert flagged == (4 if weak else 0)
 
 
-@pytest.mark.parametrize(("line_px", "warned"), [(0.005, False), (0.05, True)])
-def test_a_center_that_a_likely_tilt_brings_aside_is_flagged(line_px, warned):
+@pytest.mark.parametrize(("line_px", "least_m", "most_m"), [(0.005, 0.0, 1.5e-4), (0.05, 3e-4, 1.5e-3)])
+def test_a_center_of_given_radii_has_the_errors_by_likely_tilts_and_no_flag(line_px, least_m, most_m):
     # lasers 1.5 degrees apart at 1 m: the tilt is known to 0.15 or to 1.6 degrees, the centre's side to 0.1 mm
     scene = make_scene("A", distance_m=1.0)
 
     pose = estimate_pose(face_points_of(scene, 0.3, line_px), scene.rig, known=KNOWN)
 
-    assert (PoseFlag.CENTER_WEAK in pose.flags) is warned
+    inward = (pose.center_m - pose.grasp_m) / np.linalg.norm(pose.center_m - pose.grasp_m)
+    assert least_m < np.sqrt(inward @ pose.covariance_center_m2 @ inward) < most_m
+    assert PoseFlag.CENTER_WEAK not in pose.flags
 
 
 @pytest.mark.slow
@@ -60,5 +62,6 @@ def test_the_second_moment_of_a_bowed_center_is_told(rng):
         error = outward @ (pose.center_m - scene.ring.center_m)
         squares.append(error**2 / (outward @ pose.covariance_center_m2 @ outward))
 
-    # squares of squares have heavy tails: their mean errs by 3 / sqrt(600) or so
-    assert 0.7 < np.mean(squares) < 1.4
+    # squares of squares have heavy tails: their mean errs by 3 / sqrt(600) or so; as little else is uncertain in that
+    # direction, a tilt by three sigmas is covered: the mean is about 3 / (9/4)^2
+    assert 0.45 < np.mean(squares) < 1.0
