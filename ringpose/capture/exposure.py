@@ -12,7 +12,13 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from ringpose.detect.difference_images import LASER_RATIO, LaserImage, laser_images, overexposure
+from ringpose.detect.difference_images import (
+    BRIGHT_PERCENTILE,
+    LASER_RATIO,
+    LaserImage,
+    laser_images,
+    overexposure,
+)
 from ringpose.detect.pipeline import detect
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import project, undistorted_rays
@@ -23,9 +29,6 @@ from ringpose.types.rig import Rig
 
 TARGET_SHARE = 0.75
 """Grey value of the bright parts of a stripe, as a share of the saturation value: some speckle is brighter."""
-
-BRIGHT_PERCENTILE = 90
-"""Percentile of a stripe's columns that this grey value applies to."""
 
 MAX_RATIO = 2.0
 """A shot is taken again if its exposure is off by more than this factor."""

@@ -12,8 +12,9 @@ import numpy as np
 
 from ringpose.optics.feature_errors import OUTSIDE_COLUMNS
 from ringpose.types.arrays import Array, Bool, Float32, Float64, UInt
-from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints, NoBreakPoints
+from ringpose.types.detection import UNLABELLED, BreakPointFlag, BreakPoints, NoBreakPoints, Stripes
 from ringpose.types.image import Frame, Shot, searched_frames
+from ringpose.types.rig import Rig
 
 VISIBLE_SHARE = 8 / 255
 """Range of grey values, as a share of the saturation value, from which light shows what it falls on: below it an image
@@ -188,6 +189,33 @@ LASER_RATIO = 3.0
 """Ratio of the brightness of two stripes from which each laser has its own exposure. The fainter one has a third of the
 light, and 1.7 times the shot noise (2.4 times with twice the ratio); with half of it, lasers of one kind differ as
 much, and most shots would take the time of several exposures."""
+
+
+BRIGHT_PERCENTILE = 90
+"""Percentile of a stripe's columns that its brightness is: a stripe has glints, and parts that are hardly seen."""
+
+
+def laser_advice(stripes: Stripes, rig: Rig) -> str:
+    """The lasers of which one is so much brighter than another that each needs its own exposure, as a phrase, or empty.
+
+    Only stripes count that frames with one laser show; where they are on the face, if on one at all, is not known.
+    """
+    of_stripes = stripes.laser[stripes.piece]
+    bright_dn = {
+        laser: float(np.percentile(stripes.peak_dn[of_stripes == laser], BRIGHT_PERCENTILE))
+        for laser in np.unique(of_stripes[of_stripes != UNLABELLED]).tolist()
+    }
+    if len(bright_dn) < 2:
+        return ""
+    faint, bright = min(bright_dn, key=bright_dn.__getitem__), max(bright_dn, key=bright_dn.__getitem__)
+    ratio = bright_dn[bright] / bright_dn[faint]
+    if ratio < LASER_RATIO:
+        return ""
+    names = rig.lasers.names
+    return (
+        f"the stripes of laser {names[bright]} are {ratio:.2g} times as bright as those of {names[faint]}: expose each "
+        "laser for itself (capture --exposure auto)"
+    )
 
 
 def exposure_advice(points: BreakPoints | NoBreakPoints, shot: Shot, images: Sequence[LaserImage]) -> str:

@@ -20,6 +20,7 @@ from ringpose.detect.difference_images import (
     LaserImage,
     exposure_advice,
     hidden_by_saturation,
+    laser_advice,
     laser_images,
     repeated_image,
     saturated_along_stripes,
@@ -186,6 +187,8 @@ def _advice(reason: NoBreakPoints, stripes: Stripes, view: View) -> str:
         from ringpose.detect.resolution import resolution_advice  # not imported where there is a ring
 
         phrases.append(resolution_advice(stripes, view.images, view.rig))
+    if reason in (NoBreakPoints.NO_RING, NoBreakPoints.SURFACE_IN_FRONT):  # a stripe on the face may be too faint
+        phrases.append(laser_advice(stripes, view.rig))
     return "; ".join(filter(None, phrases))
 
 

@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -68,3 +69,19 @@ def test_no_limit_is_stated_where_no_laser_is_known():
 
     assert isinstance(detection.break_points, NoBreakPoints)
     assert "where the stripes are" not in detection.advice
+
+
+@pytest.mark.parametrize(("share", "advised"), [(0.25, True), (0.5, False)])
+def test_without_a_face_the_advice_names_a_laser_that_is_too_faint_beside_another(share, advised):
+    shot, _ = shot_of_a_low_ring((0, 1, 2, 4))
+    images = shot.images.copy()
+    images[1] = np.rint(images[0] + share * (images[1].astype(np.float64) - images[0])).clip(0, 255)
+
+    detection = detect(replace(shot, images=images), RIG)
+
+    assert detection.break_points is NoBreakPoints.NO_RING
+    phrase = re.search(r"the stripes of laser \S+ are (\S+) times as bright as those of (\S+):", detection.advice)
+    assert (phrase is not None) is advised
+    if phrase is not None:
+        assert float(phrase[1]) == pytest.approx(1.0 / share, rel=0.25)
+        assert phrase[2] == RIG.lasers.names[0]
