@@ -34,6 +34,7 @@ from ringpose.types.pose import (
     RingPose,
     RingVelocity,
 )
+from ringpose.types.protection import turned
 from ringpose.types.rig import Camera, Mount, ParameterCovariance, Rig
 
 _AXES = ("fx", "fy"), ("cx", "cy"), ("p2", "p1")
@@ -187,7 +188,7 @@ class QuarterTurn:
             velocity=None if velocity is None else self._velocity(velocity, normal),
             measurement=None if measurement is None else self._measurement(measurement),
             plane_evidence=None if evidence is None else self._evidence(evidence),
-            separation=None if result.separation is None else result.separation.turned(self.rotation_3d),
+            separation=None if result.separation is None else turned(result.separation, self.rotation_3d),
         )
 
     def _pose(self, pose: RingPose) -> RingPose:

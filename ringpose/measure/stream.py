@@ -41,6 +41,7 @@ from ringpose.types.detection import BreakPoints, Detection, JudgedRing, Rejecti
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
 from ringpose.types.pose import KnownRadii, NoPose, PoseLine, PoseResult, Ring, RingPose
+from ringpose.types.protection import turned
 from ringpose.types.rig import NO_ROBOT_POSES, Rig
 from ringpose.types.track import TrackLine
 
@@ -387,10 +388,11 @@ def pose_line(
     flags = result.flags | status.flags_of(status.findings_of(source, rejected) | of_rig)
     protection, budget = None, dict[str, dict[str, float]]()
     if result.separation is not None and isinstance(pose, RingPose):
-        protection = protection_of(result.separation, pose, options.risk, flags)
+        separation = result.separation()
+        protection = protection_of(separation, pose, options.risk, flags)
         if with_budget and result.budget is not None:
             in_camera = frame is PoseFrame.CAMERA
-            budget = variances_by_source(result.budget(), pose, result.separation, in_camera=in_camera)
+            budget = variances_by_source(result.budget(), pose, separation, in_camera=in_camera)
     end_s = perf_counter()
     return PoseLine(
         shot=source.shot,
@@ -431,7 +433,7 @@ def _in_frame(result: PoseResult, camera: CameraMotion, frame: PoseFrame) -> Pos
     frame_from_camera, root = where
     velocity = None if result.velocity is None else velocity_in_frame(result.velocity, result.pose, frame_from_camera)
     pose = with_camera_error(pose_in_frame(result.pose, frame_from_camera), frame_from_camera[:3, 3], root)
-    separation = None if result.separation is None else result.separation.turned(frame_from_camera[:3, :3])
+    separation = None if result.separation is None else turned(result.separation, frame_from_camera[:3, :3])
     return replace(result, pose=pose, velocity=velocity, separation=separation)
 
 

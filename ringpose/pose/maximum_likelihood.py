@@ -183,7 +183,7 @@ def _result(best: Explanation, source: str) -> tuple[PoseResult, Finding]:
         pose=pose,
         velocity=velocity,
         measurement=ring_measurement(estimate, measured, pose_quantities),
-        separation=solution_separation(best, pose_quantities),
+        separation=partial(solution_separation, best, pose_quantities),
         budget=partial(error_budget, estimate, pose_quantities, inflated, covariance),
     )
     return result, findings | of_velocity

@@ -461,8 +461,8 @@ class PoseResult:
     methods without residuals."""
     budget: Callable[[], Mapping[str, Float64[Array, "quantity=7 quantity=7"]]] | None = None
     """Computes the covariance of the separated quantities but the last, by source; None without residuals."""
-    separation: Separation | None = None
-    """The solutions under all hypotheses; None for methods without residuals."""
+    separation: Callable[[], Separation] | None = None
+    """Computes the solutions under all hypotheses; None for methods without residuals."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -1,5 +1,6 @@
 """How far a pose may be off: the record of protection levels, and the solutions under all hypotheses behind it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Annotated
@@ -86,3 +87,8 @@ class Separation:
             across=self.across @ rotation.T,
             rotation=rotation @ self.rotation,
         )
+
+
+def turned(separation: Callable[[], Separation], rotation: Float64[Array, "3 3"]) -> Callable[[], Separation]:
+    """What computes the same in a frame with other axes."""
+    return lambda: separation().turned(rotation)

@@ -36,7 +36,7 @@ NO_FLAG = PoseFlag(0)
 
 def levels(points, rig, flags=NO_FLAG, assumptions=ROUND, risk=1e-5):
     result = pose_result(points, rig, assumptions=assumptions)
-    return protection_of(result.separation, result.pose, risk, result.flags | flags)
+    return protection_of(result.separation(), result.pose, risk, result.flags | flags)
 
 
 def shifted(points, laser, edge, shift_px):
