@@ -117,7 +117,10 @@ def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence 
     residuals, rates = estimate.residuals, len(estimate.residuals.rate_sds)
     of_rig = rates + estimate.fixed.mean_ray_wrt_rig.shape[1]
     own = np.delete(estimate.nuisance, range(rates, of_rig), axis=1)
-    wrt_rig, _ = rig_jacobian(residuals, errors)
+    assumed = rig_errors(measured.rig, estimate.prior.assumptions.stability)
+    wrt_rig = estimate.fixed.rig
+    if wrt_rig is None or assumed is None or assumed.parameters != errors.parameters:
+        wrt_rig, _ = rig_jacobian(residuals, errors)
     rows = np.concatenate([residuals.jacobian, own, wrt_rig, -residuals.residual[:, None]], axis=1)
     eliminated = PARAMETERS + own.shape[1]
     prior = np.zeros((eliminated, rows.shape[1]))
