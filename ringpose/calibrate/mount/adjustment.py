@@ -12,7 +12,7 @@ likelihood (Patterson and Thompson 1971) gives s_r and s_t without the bias by t
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from ringpose.calibrate.mount.closed_form import Transform, moving_from_fixed
 from ringpose.calibrate.mount.moving import DELAY_PRIOR_S
 from ringpose.calibrate.mount.stations import Station
 from ringpose.calibrate.mount.stripes import NO_PLANES, Planes, equations_with_stripes
+from ringpose.calibrate.mount.variances import ErrorModel, most_likely
 from ringpose.geometry.camera_motion import left_jacobian
 from ringpose.geometry.least_squares import covariance_of_free
 from ringpose.geometry.ring import rotation_by
@@ -323,41 +324,20 @@ def _likeliest(
     numbers: ViewNumbers, prior: Float64[Array, "common common"], starts: Sequence[Sequence[float]]
 ) -> list[float]:
     """The likeliest standard deviations from several starts: of the robot's error and, if given, of the stamps."""
-    from scipy.optimize import minimize
-
-    lower, upper = np.log([ROTATION_BOUNDS_RAD, TRANSLATION_BOUNDS_M, STAMP_BOUNDS_S]).T[:, : len(starts[0])]
-    usual = np.log([PRIOR_ROTATION_RAD, PRIOR_TRANSLATION_M])
-    has_prior = len(numbers.z) < MIN_FREE_VIEWS
-    design, z, wrt_error = numbers.wrt_common, numbers.z[..., None], numbers.wrt_error
-    noise, by_stamp = numbers.covariance, numbers.wrt_stamp[:, :, None] * numbers.wrt_stamp[:, None]
-    fixed_information = numbers.camera_information.sum(axis=0) + prior
-    fixed_gradient = numbers.camera_gradient.sum(axis=0)
-    known = np.flatnonzero((design != 0).any(axis=(0, 1)) | (np.diag(fixed_information) > 0))
-
-    def minus_log_likelihood(logarithms: np.ndarray[Any, Any]) -> float:  # some hundred times: without shape checks
-        within = np.clip(logarithms, lower, upper)
-        variances = np.repeat(np.exp(2.0 * within[:2]), 3)
-        marginal = noise if len(within) < 3 else noise + np.exp(2.0 * within[2]) * by_stamp
-        marginal = marginal + (wrt_error * variances) @ wrt_error.swapaxes(1, 2)
-        weights = np.linalg.inv(marginal)
-        weighted = design.swapaxes(1, 2) @ weights
-        information = ((weighted @ design).sum(axis=0) + fixed_information)[np.ix_(known, known)]
-        gradient = ((weighted @ z).sum(axis=0)[:, 0] + fixed_gradient)[known]
-        scale = 1.0 / np.sqrt(np.diag(information))
-        scaled, right = information * np.outer(scale, scale), scale * gradient
-        chi2 = (z.swapaxes(1, 2) @ weights @ z).sum() - right @ np.linalg.lstsq(scaled, right)[0]
-        determinants = np.linalg.slogdet(marginal)[1].sum() + np.linalg.slogdet(scaled)[1] - 2.0 * np.log(scale).sum()
-        value = determinants + chi2 + 20.0 * np.abs(logarithms - within).sum()
-        if has_prior:
-            value += np.sum(((logarithms[:2] - usual) / np.log(PRIOR_FACTOR)) ** 2)
-        return float(0.5 * value)
-
-    options: Any = {"xatol": 0.01, "fatol": 1e-3}
-    likeliest = min(
-        (minimize(minus_log_likelihood, np.log(start), method="Nelder-Mead", options=options) for start in starts),
-        key=lambda minimum: float(minimum.fun),
-    )
-    sds: list[float] = np.exp(np.clip(likeliest.x, lower, upper)).tolist()
+    count = len(starts[0])
+    errors = (numbers.wrt_error[:, :, :3], numbers.wrt_error[:, :, 3:], numbers.wrt_stamp[:, :, None])[:count]
+    mean, precision = np.zeros(count), np.zeros((count, count))
+    if len(numbers.z) < MIN_FREE_VIEWS:
+        mean[:2] = 2.0 * np.log([PRIOR_ROTATION_RAD, PRIOR_TRANSLATION_M])
+        precision[:2, :2] = (2.0 * np.log(PRIOR_FACTOR)) ** -2 * np.eye(2)
+    model = ErrorModel(
+        z=numbers.z, covariance=numbers.covariance, design=numbers.wrt_common, errors=errors,
+        known=numbers.camera_information.sum(axis=0) + prior, gradient=numbers.camera_gradient.sum(axis=0),
+        prior_mean=mean, prior_precision=precision,
+    )  # fmt: skip
+    lower, upper = 2.0 * np.log([ROTATION_BOUNDS_RAD, TRANSLATION_BOUNDS_M, STAMP_BOUNDS_S]).T[:, :count]
+    found = [most_likely(model, 2.0 * np.log(start), (lower, upper)) for start in starts]
+    sds: list[float] = np.exp(0.5 * max(found, key=lambda entry: entry[1].log_density)[0]).tolist()
     return sds
 
 
