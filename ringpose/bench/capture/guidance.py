@@ -20,6 +20,7 @@ from ringpose.track.explanations import Gripper
 from ringpose.track.lines import capture_probability
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.capture import FloatingBase
+from ringpose.types.options import Method
 from ringpose.types.pose import PoseLine, RingPose
 from ringpose.types.protection import Protection
 from ringpose.types.track import TrackLine, Validity
@@ -135,7 +136,7 @@ def ring_of_track(line: TrackLine) -> GuidedRing | None:
 def ring_of_pose(line: PoseLine) -> GuidedRing | None:
     """The ring of one shot in the base frame, taken as it is until the next one; None if it has no pose.
 
-    A method without a covariance has no levels either: what it reports is believed.
+    Other methods than `ml` state no levels, and some no covariance: what they report is believed.
     """
     pose = line.pose
     if pose is None or line.frame != "base" or not np.isfinite([*pose.normal, *pose.grasp_m]).all():
@@ -152,7 +153,7 @@ def ring_of_pose(line: PoseLine) -> GuidedRing | None:
         covariance=covariance,
         covariance_s=line.pose_stamp_s,
         growth=np.zeros((5, 5)),
-        obstacle="" if covariance is None else _unprotected(line.protection),
+        obstacle=_unprotected(line.protection) if pose.method == Method.ML else "",
     )
 
 

@@ -5,9 +5,9 @@ from math import erf, radians, sqrt
 
 import numpy as np
 import pytest
-from whole_records import complete_track, protection
+from whole_records import complete_line, complete_track, protection
 
-from ringpose.bench.capture.guidance import MAX_AGE_S, Guidance, GuidedRing, ring_of_track
+from ringpose.bench.capture.guidance import MAX_AGE_S, Guidance, GuidedRing, ring_of_pose, ring_of_track
 from ringpose.bench.capture.loop import guided_by, run_loop
 from ringpose.bench.capture.score import CaptureOutcome, outcome_of, refuted_claims
 from ringpose.bench.capture.study import capture_rows, drawn_world, line_of_row
@@ -18,6 +18,7 @@ from ringpose.simulate.motion import FreeAttitude
 from ringpose.simulate.robot import Pose
 from ringpose.track.lines import capture_probability
 from ringpose.types.capture import FloatingBase
+from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag
 from ringpose.types.study import CAPTURE_TIMES, StudyMethod, columns
 from ringpose.types.target import FreeMotion
@@ -140,6 +141,14 @@ def test_a_track_closes_the_gripper_only_by_protection_levels_of_grasp_and_norma
 
     assert ring_of_track(line).obstacle == obstacle
     assert ring_of_track(replace(line, flags=PoseFlag.RIG_DRIFT)).obstacle == obstacle  # levels contain what flags mean
+
+
+@pytest.mark.parametrize(("method", "obstacle"), [("ml", "the line has no protection levels"), ("paper", "")])
+def test_a_method_that_states_no_levels_is_not_held_back_by_their_lack(method, obstacle):
+    line = complete_line(np.random.default_rng(4))
+    line = replace(line, frame=PoseFrame.BASE, protection=None, pose=replace(line.pose, method=method))
+
+    assert ring_of_pose(line).obstacle == obstacle
 
 
 def at_the_ring(world, ring):
