@@ -11,7 +11,7 @@ from ringpose.estimate.covariance import Quantities
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.linearization import PARAMETERS
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import FACE_SLOPE, FORM_PARAMETERS, rig_errors, rig_jacobian
+from ringpose.estimate.nuisance import FACE_SLOPE, FORM_PARAMETERS, FORM_SHARE, rig_errors, rig_jacobian
 from ringpose.estimate.ring_estimate import Estimate
 from ringpose.estimate.solver import RIDGE
 from ringpose.geometry.ring import public_wrt_rates
@@ -107,7 +107,8 @@ def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence 
     """What a shot shows about the rig's parameters; None if it leaves parameters of the ring open.
 
     These are the rows A q = y of the QR factor that are left when ring, rates, form and the errors of visible edges are
-    eliminated with their priors: the Schur complement of section 9.
+    eliminated with their priors: the Schur complement of section 9. The form is among q, too: where shots show the same
+    arc, they have it in common.
     """
     if estimate.prior.regularize_about is not None or len(measured.stripes) < REDUNDANT_STRIPES:
         return None
@@ -121,7 +122,11 @@ def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence 
     wrt_rig = estimate.fixed.rig
     if wrt_rig is None or assumed is None or assumed.parameters != errors.parameters:
         wrt_rig, _ = rig_jacobian(residuals, errors)
-    rows = np.concatenate([residuals.jacobian, own, wrt_rig, -residuals.residual[:, None]], axis=1)
+    parameters, common = errors.parameters, [wrt_rig]
+    if estimate.fixed.form is not None:
+        parameters += FORM_PARAMETERS
+        common.append(FORM_SHARE * estimate.prior.assumptions.ring_tolerance_m * estimate.fixed.form)
+    rows = np.concatenate([residuals.jacobian, own, *common, -residuals.residual[:, None]], axis=1)
     eliminated = PARAMETERS + own.shape[1]
     prior = np.zeros((eliminated, rows.shape[1]))
     diagonal = range(eliminated)
@@ -129,7 +134,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence 
     prior[PARAMETERS : PARAMETERS + rates, -1] = -residuals.rate_deviations
     triangle = np.linalg.qr(np.concatenate([prior, np.sqrt(estimate.weights)[:, None] * rows]), mode="r")
     return PlaneEvidence(
-        parameters=errors.parameters,
+        parameters=parameters,
         rows=np.asarray(triangle)[eliminated:, eliminated:],
         normal=estimate.arcs.axes[2],
         place_m=estimate.arcs.origin,

@@ -2,9 +2,9 @@
 
 A light plane that has moved leaves the same residuals in every shot, noise leaves other ones in each. Each shot
 contributes the Schur complement of its own parameters in the information matrix of section 9: rows A q = y in the
-errors q of the rig. For each plane, the likelihood that it has moved is compared with the likelihood of a rig within
-its calibration and stability. From the shot on in which a plane is shown to have moved, the stream is measured with
-that plane as estimated.
+errors q of the rig, and in the form of the ring, which shots of the same arc have in common. For each plane, the
+likelihood that it has moved is compared with the likelihood of a rig within its calibration and stability. From the
+shot on in which a plane is shown to have moved, the stream is measured with that plane as estimated.
 """
 
 from collections.abc import Sequence
@@ -13,10 +13,7 @@ from math import degrees, hypot, log, nan, sqrt
 
 import numpy as np
 
-from ringpose.estimate.nuisance import (
-    light_plane_bases,
-    total_covariance,
-)
+from ringpose.estimate.nuisance import FORM_PARAMETERS, light_plane_bases, total_covariance
 from ringpose.estimate.ring_estimate import chi2_quantile
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.measure.status import sentences, with_findings
@@ -334,13 +331,15 @@ class RigEvidence:
 def _parameters_and_prior(
     rig: Rig, stability: RigStability
 ) -> tuple[tuple[str, ...], Float64[Array, "parameter parameter"]]:
-    """Names of the rig's parameters, with those of all light planes, and their covariance."""
+    """Names of the rig's parameters, with those of all light planes, and of the ring's form, and their covariance."""
     total = total_covariance(rig, stability)
     more = tuple(name for name in total_covariance(rig, TYPICAL_STABILITY).parameters if name not in total.parameters)
-    known = len(total.parameters)
-    covariance = np.zeros((known + len(more), known + len(more)))
+    known, names = len(total.parameters), (*total.parameters, *more, *FORM_PARAMETERS)
+    covariance = np.zeros((len(names), len(names)))
     covariance[:known, :known] = total.data
-    return (*total.parameters, *more), covariance
+    of_form = range(len(names) - len(FORM_PARAMETERS), len(names))
+    covariance[of_form, of_form] = 1.0
+    return names, covariance
 
 
 def evidence_for_file(line: PoseLine) -> PlaneEvidence | None:

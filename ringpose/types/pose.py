@@ -100,11 +100,18 @@ class PlaneEvidence:
 
     parameters: Annotated[
         tuple[str, ...],
-        Key("Names of the errors q of the rig; the ring and its motion are eliminated.", form=Form.DISTINCT),
+        Key(
+            "Names of the errors q of the rig, and of the amplitudes of the ring's form; the ring and its motion are "
+            "eliminated.",
+            form=Form.DISTINCT,
+        ),
     ]
     rows: Annotated[
         Float64[Array, "row column"],
-        Key("Rows [A, y] of A q = y with noise of unit variance, in the parameters' own units."),
+        Key(
+            "Rows [A, y] of A q = y with noise of unit variance, in the parameters' own units; those of the form in "
+            "standard deviations."
+        ),
     ]
     normal: Annotated[
         Float64[Array, "xyz=3"],
