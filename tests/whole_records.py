@@ -22,7 +22,7 @@ from ringpose.types.pose import (
     RingVelocity,
 )
 from ringpose.types.protection import Protection
-from ringpose.types.rig import PlaneCorrection
+from ringpose.types.rig import LaserBow, PlaneCorrection
 from ringpose.types.track import (
     Attempt,
     FusionStatus,
@@ -117,6 +117,7 @@ def complete_line(rng: np.random.Generator) -> PoseLine:
             moved_planes={
                 "left": PlaneCorrection(change=np.array([2e-3, 0.0, 1e-4]), covariance=np.diag([1e-9, 2e-9, 3e-10]))
             },
+            bent_planes={"right": LaserBow(per_rad=-0.0114, sd_per_rad=2e-4)},
             regularization=rng.normal(size=(2, 13)),
         ),
         plane_evidence=PlaneEvidence(

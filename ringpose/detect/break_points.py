@@ -24,12 +24,12 @@ from ringpose.estimate.measurements import Measurements, measurements_of
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import (
     POINTS_OF_A_PLANE,
-    intersect,
     nearest_plane,
     project,
     towards_camera,
     undistorted_rays,
 )
+from ringpose.geometry.sheets import sheet_points
 from ringpose.kernels import _kernels, column_names, kernel_record
 from ringpose.kernels.lines import (
     CENTERS,
@@ -499,7 +499,7 @@ def beside_occluder(ends: Ends, segments: Float64[Array, "segment column=12"], r
     y = segments[segment, MIDDLE_Y] + segments[segment, SLOPE] * (x - segments[segment, MIDDLE_X])
     pixels = np.concatenate([ends.straight_px[known], np.stack([x, y], axis=-1)])
     of = np.concatenate([np.nonzero(known)[0], laser])
-    points = intersect(undistorted_rays(pixels, rig.camera), rig.lasers.normal[of], rig.lasers.distance_m[of])
+    points = sheet_points(undistorted_rays(pixels, rig.camera), of, rig)
     face, stripe = np.split(points, [len(points) - len(laser)])
     face = face[np.isfinite(face).all(axis=1)]
     if len(face) < POINTS_OF_A_PLANE:

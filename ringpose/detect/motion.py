@@ -15,7 +15,8 @@ import numpy as np
 
 from ringpose.detect.edge_search import WALK_SPACING_PX
 from ringpose.geometry.least_squares import huber_weights
-from ringpose.geometry.rays import POINTS_OF_A_PLANE, intersect, project, rays, undistorted_pixels, undistorted_rays
+from ringpose.geometry.rays import POINTS_OF_A_PLANE, project, rays, undistorted_pixels, undistorted_rays
+from ringpose.geometry.sheets import sheet_points
 from ringpose.optics.feature_errors import MIN_PEAK, MINIMUM_POINTS
 from ringpose.types.arrays import Array, Bool, Float64, UInt
 from ringpose.types.assumptions import MotionPrior
@@ -152,7 +153,7 @@ def _fitted(
     """Rates fitted to the speeds of the edges along their normals: robust least squares, regularized to zero."""
     laser, edge = np.nonzero(points.seen)
     ends_px = points.position_px[laser, edge]
-    ends_m = intersect(rays(ends_px, rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser])
+    ends_m = sheet_points(rays(ends_px, rig.camera), laser, rig)
     pivot = ends_m.mean(axis=0)
     if len(ends_m) < POINTS_OF_A_PLANE or not (np.isfinite(ends_m).all() and pivot[2] > 0):
         return None
@@ -190,7 +191,7 @@ def moved_to(stamp_s: float, points: BreakPoints, rig: Rig, motion: RingMotion) 
     planes, camera = rig.lasers, rig.camera
     lines_px = np.stack([points.face_start_undistorted_px, points.face_end_undistorted_px], axis=1)
     ends_m, lines_m = (
-        intersect(each, planes.normal[:, None], planes.distance_m[:, None])
+        sheet_points(each, np.arange(len(planes.normal))[:, None], rig)
         for each in (rays(points.position_px, camera), undistorted_rays(lines_px, camera))
     )
     normal, foot_m = planes.normal.copy(), planes.normal * planes.distance_m[:, None]

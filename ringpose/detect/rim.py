@@ -18,6 +18,7 @@ import numpy as np
 
 from ringpose.detect.stripes import SAME_STRIPE_PX, lens
 from ringpose.geometry.rays import undistorted_rays
+from ringpose.geometry.sheets import bends_of, light_planes, sheet_points
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import (
     CENTERS,
@@ -191,7 +192,9 @@ def ring_face(
     """
     unlabelled = sum(1 << laser for laser in lasers)
     ring = _ring_params(rig.camera)
-    every, best_groups, chords = ring_faces(segments, unlabelled, planes_per_m(rig), ring, UnionParams(), candidates)
+    every, best_groups, chords = ring_faces(
+        segments, unlabelled, planes_per_m(rig), ring, UnionParams(), candidates, sheet_bends(rig)
+    )
     if chords.are_convincing and len(chords.chords) > 1:
         return _foremost(face_of_both_arcs(chords, every, rig), segments, rig)
     groups: list[Group | None] = list(best_groups)
@@ -279,11 +282,11 @@ def _off_plane_px(
     That line is (a - n / (n . o)) . (x, y, 1) = 0, with the light plane a . P = 1.
     """
     optics = lens(rig.camera)
-    line = planes_per_m(rig)[laser] - normal / (normal @ origin_m)
-    off_px = []
+    flat, off_px = normal / (normal @ origin_m), []
     for x_px in (row[X_START], row[X_END]):
         x = (x_px - optics.cx) / optics.fx
         y_px = row[MIDDLE_Y] + row[SLOPE] * (x_px - row[MIDDLE_X])
+        line = _light_per_m(x, (y_px - optics.cy) / optics.fy, laser, rig) - flat
         off_px.append(abs(optics.cy - optics.fy * float((line[0] * x + line[2]) / (line[1] or math.nan)) - y_px))
     return max(off_px)
 
@@ -295,16 +298,17 @@ def ring_faces(
     ring: RingParams,
     unions: UnionParams,
     candidates: CandidateParams,
+    sheets: Float64[Array, "laser column=10"] | None = None,
 ) -> Faces:
     """The best groups of one, two and three segments, each of another laser, that lie on the rim of one planar ring.
 
     `unlabelled` is the bit mask of the lasers that segments without a laser may belong to. `planes` are the light
-    planes as normal / distance, so that 1/z = (normal / distance) . (x, y, 1) on them. Collinear segments are tried as
-    one, too. The score is the sum of the merits less the costs of plane and circles, the penalties of missing lasers,
-    and a tilt prior of sigma 0.5 rad.
+    planes as normal / distance, so that 1/z = (normal / distance) . (x, y, 1) on them, and `sheets` their bends
+    (`sheet_bends`). Collinear segments are tried as one, too. The score is the sum of the merits less the costs of
+    plane and circles, the penalties of missing lasers, and a tilt prior of sigma 0.5 rad.
     """
     segments, planes = np.ascontiguousarray(segments), np.ascontiguousarray(planes)
-    every, (one, two, three), of_chords = _kernels.faces(segments, unlabelled, planes, unions, candidates, ring)
+    every, (one, two, three), of_chords = _kernels.faces(segments, unlabelled, planes, sheets, unions, candidates, ring)
     groups = Group(*one), Group(*two), Group(*three)
     score, rival, chords = of_chords
     both_arcs = Chords(score, rival, tuple(Chord(*chord) for chord in chords))
@@ -615,6 +619,8 @@ def _ends_m(
     optics = lens(rig.camera)
     rays = np.ones((*x_px.shape, 3))
     rays[..., 0], rays[..., 1] = (x_px - optics.cx) / optics.fx, (y_px - optics.cy) / optics.fy
+    if rig.bows:
+        return sheet_points(rays, np.asarray(lasers)[:, None], rig)
     inverse_depth = rays @ planes_per_m(rig)[lasers, :, None]
     inverse_depth[inverse_depth == 0.0] = np.nan  # along the light plane
     ends_m: Float64[Array, "n end=2 xyz=3"] = rays / inverse_depth
@@ -626,11 +632,33 @@ def _lengths_m(ends_m: Float64[Array, "n end=2 xyz=3"]) -> Float64[Array, "n"]:
     return lengths_m
 
 
+def _light_per_m(x: float, y: float, laser: int, rig: Rig) -> Float64[Array, "xyz=3"]:
+    """The plane of a laser as in `planes_per_m`; of a bent sheet that where the ray (x, y, 1) meets it."""
+    if not rig.bows:
+        return planes_per_m(rig)[laser]
+    normal, distance_m = light_planes(np.array([[x, y, 1.0]]), np.array([laser]), rig)
+    per_m: Float64[Array, "xyz=3"] = normal[0] / distance_m
+    return per_m
+
+
 @lru_cache(maxsize=4)
 def planes_per_m(rig: Rig) -> Float64[Array, "laser xyz=3"]:
     """The light planes as m / d in 1/m: points on them satisfy 1/z = (m / d) . (x, y, 1)."""
     planes: Float64[Array, "laser xyz=3"] = rig.lasers.normal / rig.lasers.distance_m[:, None]
     return planes
+
+
+@lru_cache(maxsize=4)
+def sheet_bends(rig: Rig) -> Float64[Array, "laser column=10"] | None:
+    """The bends of the light planes as `ring_faces` takes them; None if all are flat.
+
+    Columns: bow over the plane's distance, then projector, axis and the direction aside, as in `Bends`.
+    """
+    bent = bends_of(rig)
+    if bent is None:
+        return None
+    ratio = bent.per_rad / rig.lasers.distance_m
+    return np.ascontiguousarray(np.column_stack([ratio, bent.projector_m, bent.axis, bent.aside]))
 
 
 @lru_cache(maxsize=4)

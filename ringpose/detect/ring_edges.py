@@ -41,8 +41,9 @@ from ringpose.estimate.ring_estimate import STRIPES_OF_A_PLANE
 from ringpose.estimate.solver import ALARM_SIGMAS, OUTLIER_SIGMAS
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
-from ringpose.geometry.rays import intersect, undistorted_rays
+from ringpose.geometry.rays import undistorted_rays
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, RingArcs, edge_distances
+from ringpose.geometry.sheets import sheet_points
 from ringpose.optics.feature_errors import BLUR_SIGMA_PX, MINIMUM_POINTS, POINT_SIGMA_PX
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.assumptions import Assumptions
@@ -205,8 +206,7 @@ def _without_displaced_stripe(
 def _in_front(laser: int, break_points: BreakPoints, ring: RingArcs | None, rig: Rig) -> bool:
     """Whether a laser's stripe is on a surface in front of a ring and parallel to it, which may be the ring's face."""
     ends_px = np.stack([break_points.face_start_undistorted_px[laser], break_points.face_end_undistorted_px[laser]])
-    plane = rig.lasers.normal[[laser]], rig.lasers.distance_m[[laser]]
-    ends = intersect(undistorted_rays(ends_px, rig.camera), *plane)
+    ends = sheet_points(undistorted_rays(ends_px, rig.camera), np.array([laser]), rig)
     if ring is None or not np.isfinite(ends).all():
         return False
     return bool(parallel_in_front(ends[None], ring.origin, ring.normal)[0])

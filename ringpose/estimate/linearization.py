@@ -131,6 +131,8 @@ class Observations(NamedTuple):
     """The samples that are break points on the arc at which the ring is described."""
     wrt_camera: Float64[Array, "ray xy=2 parameter"]
     """Derivatives of the rays by the camera's parameters."""
+    bend_m: Float64[Array, "sample bow=3"] | None
+    """Derivatives of the elevation of bent sheets over their planes by `BOW_PARAMETERS`; None if all are flat."""
     camera: CameraMotion | None
     """Motion of the camera; None if it counts as inertial."""
     robust: Bool[Array, "row"]

@@ -18,7 +18,8 @@ from ringpose.estimate.factors.points import Points, points_of
 from ringpose.estimate.linearization import Factor, Observations
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import RingSamples
-from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.geometry.sheets import bends_of, light_planes, line_planes, sheet_points
+from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPoints, RingEdgePoints
 from ringpose.types.pose import NoPose
 from ringpose.types.rig import Rig
@@ -48,7 +49,7 @@ class Measurements:
     @cached_property
     def observations(self) -> Observations:
         """The factors of the shot, and the view of the ring by ends of lines, break points and visible edge points."""
-        lines, points, edges, planes = self.lines, self.points, self.edges, self.rig.lasers
+        lines, points, edges = self.lines, self.points, self.edges
         laser = np.concatenate([np.repeat(lines.laser, 2), points.laser])
         ends, samples = 2 * len(lines.laser), len(laser)
         rays = np.ones((samples, 3))
@@ -56,10 +57,11 @@ class Measurements:
         rays[ends:, 0], rays[ends:, 1] = points.x, points.y
         stamp_s = np.concatenate([np.repeat(lines.stamp_s, 2), points.stamp_s, edges.stamp_s])
         instant_s, instant = np.unique(self.times_s(stamp_s), return_inverse=True)
+        light_normal, light_distance_m, bend_m = _light(rays, laser, ends, self.rig)
         view = RingSamples(
             rays=rays,
-            light_normal=planes.normal[laser],
-            light_distance_m=planes.distance_m[laser],
+            light_normal=light_normal,
+            light_distance_m=light_distance_m,
             ends=ends,
             visible_rays=edges.ray,
             visible_step=edges.step,
@@ -89,6 +91,7 @@ class Measurements:
             points=of_points,
             described=ends + np.flatnonzero(points.described),
             wrt_camera=np.concatenate(of_rays),
+            bend_m=bend_m,
             camera=self.camera,
             robust=robust,
             many=many,
@@ -178,6 +181,22 @@ class Measurements:
         lines = np.array([laser_of[laser] for laser in self.lines.laser.tolist()], dtype=np.int64)
         points = np.array([laser_of[laser] for laser in self.points.laser.tolist()], dtype=np.int64)
         return replace(self, lines=self.lines._replace(laser=lines), points=self.points._replace(laser=points))
+
+
+def _light(
+    rays: Float64[Array, "sample xyz=3"], laser: Int64[Array, "sample"], ends: int, rig: Rig
+) -> tuple[Float64[Array, "sample xyz=3"], Float64[Array, "sample"], Float64[Array, "sample bow=3"] | None]:
+    """Normal and distance of the light plane of each sample, and `Observations.bend_m`; the first are ends of lines."""
+    normal, distance_m = light_planes(rays, laser, rig)
+    bent = bends_of(rig)
+    if bent is None:
+        return normal, distance_m, None
+    bend_m = bent.of(laser).wrt_parameters(sheet_points(rays, laser, rig))
+    of_line, line_distance_m, by_bow = line_planes(rays[:ends].reshape(-1, 2, 3), laser[:ends:2], rig)
+    met = np.repeat(np.isfinite(line_distance_m), 2)
+    normal[:ends][met] = of_line.repeat(2, axis=0)[met]
+    distance_m[:ends][met], bend_m[:ends] = line_distance_m.repeat(2)[met], by_bow.reshape(-1, bend_m.shape[1])
+    return normal, distance_m, bend_m
 
 
 def measurements_of(

@@ -19,9 +19,18 @@ from ringpose.estimate.linearization import Derivatives, FixedColumns, ImageFact
 from ringpose.geometry.rays import pixels_wrt_ray_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, LIFT, edge_distances, polar_angles
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.sheets import bends_of, light_normals
 from ringpose.types.arrays import Array, Float64, Int64
 from ringpose.types.assumptions import RigStability
-from ringpose.types.rig import CAMERA_PARAMETERS, PLANE_PARAMETERS, Camera, ParameterCovariance, Rig, laser_parameters
+from ringpose.types.rig import (
+    BOW_PARAMETERS,
+    CAMERA_PARAMETERS,
+    PLANE_PARAMETERS,
+    Camera,
+    ParameterCovariance,
+    Rig,
+    laser_parameters,
+)
 
 _NEGLIGIBLE = 1e-12
 """Share of the correlation matrix's largest eigenvalue below which a combination of parameters counts as exact."""
@@ -57,8 +66,9 @@ class RigErrors:
     root: Float64[Array, "parameter error"]
     camera: Float64[Array, "camera parameter"]
     """Derivatives of the camera's parameters, rows as in `CAMERA_PARAMETERS`."""
-    lasers: Float64[Array, "laser plane=3 parameter"]
-    """Selects the parameters of the light planes, rows as in `PLANE_PARAMETERS`."""
+    lasers: Float64[Array, "laser sheet parameter"]
+    """Selects the parameters of the light planes, rows as in `PLANE_PARAMETERS`, with bent planes then as in
+    `BOW_PARAMETERS`."""
     basis: Float64[Array, "laser 2 3"]
 
 
@@ -74,15 +84,16 @@ def rig_errors(rig: Rig, stability: RigStability = EXACT) -> RigErrors | None:
     if not names:
         return None
     camera = np.zeros((4 + len(rig.camera.distortion_coefficients), len(names)))
-    lasers = np.zeros((len(rig.lasers.names), len(PLANE_PARAMETERS), len(names)))
+    of_laser = PLANE_PARAMETERS + (BOW_PARAMETERS if rig.bows else ())
+    lasers = np.zeros((len(rig.lasers.names), len(of_laser), len(names)))
     for column, name in enumerate(names):
         laser, _, parameter = name.rpartition(".")
         if name == FOCAL_RATIO:
             camera[:2, column] = rig.camera.camera_matrix[[0, 1], [0, 1]]
         elif name in CAMERA_PARAMETERS[: len(camera)]:
             camera[CAMERA_PARAMETERS.index(name), column] = 1.0
-        elif laser in rig.lasers.names and parameter in PLANE_PARAMETERS:
-            lasers[rig.lasers.names.index(laser), PLANE_PARAMETERS.index(parameter), column] = 1.0
+        elif laser in rig.lasers.names and parameter in of_laser:
+            lasers[rig.lasers.names.index(laser), of_laser.index(parameter), column] = 1.0
         else:
             raise DataError(
                 "the rig's covariance",
@@ -102,6 +113,7 @@ def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
     calibrated = rig.covariance
     if calibrated is None or not np.isfinite(calibrated.data).all():
         calibrated = ParameterCovariance(parameters=(), data=np.zeros((0, 0)))
+    calibrated = _with_bows(calibrated, rig)
     if stability == EXACT and not rig.moved_planes:
         return calibrated
     names = (*laser_parameters(rig.lasers.names), FOCAL_RATIO)
@@ -117,6 +129,18 @@ def total_covariance(rig: Rig, stability: RigStability) -> ParameterCovariance:
             covariance[of_plane], covariance[:, of_plane] = 0.0, 0.0
             covariance[np.ix_(of_plane, of_plane)] = rig.moved_planes[laser].covariance
     return ParameterCovariance(parameters=names, data=covariance)
+
+
+def _with_bows(calibrated: ParameterCovariance, rig: Rig) -> ParameterCovariance:
+    """The covariance with the standard deviations of those bows that it does not have, as if they were independent."""
+    stated = {f"{name}.bow": bow.sd_per_rad for name, bow in rig.bows.items()}
+    missing = [name for name in stated if name not in calibrated.parameters]
+    if not missing:
+        return calibrated
+    count = len(calibrated.parameters)
+    data = np.diag([0.0] * count + [stated[name] ** 2 for name in missing])
+    data[:count, :count] = calibrated.data
+    return ParameterCovariance(parameters=(*calibrated.parameters, *missing), data=data)
 
 
 @lru_cache(maxsize=8)
@@ -158,8 +182,7 @@ def point_covariance(
     The errors of break points are independent of each other; the errors of the rig, where its covariance is known, are
     common to all.
     """
-    light_normal = rig.lasers.normal[laser]
-    jacobians = point_jacobians(points, light_normal, rig.camera)
+    jacobians = point_jacobians(points, light_normals(points, laser, rig), rig.camera)
     independent = np.zeros((len(points), 3, len(points), 3))
     each = np.arange(len(points))
     independent[each, :, each] = jacobians.wrt_pixel @ covariance_px2 @ jacobians.wrt_pixel.swapaxes(1, 2)
@@ -182,8 +205,12 @@ def points_wrt_errors(
     errors: RigErrors,
 ) -> Float64[Array, "n xyz=3 error"]:
     """Derivatives of points with respect to the rig's independent errors of unit variance, which are common to all."""
-    wrt_planes = points_wrt_plane(points, rig.lasers.normal[laser], errors.basis[laser]) @ errors.lasers[laser]
-    return np.asarray((jacobians.wrt_camera @ errors.camera + wrt_planes) @ errors.root)
+    wrt_sheets = points_wrt_plane(points, light_normals(points, laser, rig), errors.basis[laser])
+    bent = bends_of(rig)
+    if bent is not None:  # an elevation of the sheet acts like a distance of its plane
+        wrt_bow = wrt_sheets[:, :, 2:] * bent.of(laser).wrt_parameters(points)[:, None]
+        wrt_sheets = np.concatenate([wrt_sheets, wrt_bow], axis=2)
+    return np.asarray((jacobians.wrt_camera @ errors.camera + wrt_sheets @ errors.lasers[laser]) @ errors.root)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -261,10 +288,13 @@ def rig_jacobian(
     observations, stripes, count = residuals.observations, residuals.at.stripes, len(errors.parameters)
     laser, wrt_camera = observations.laser, observations.wrt_camera
     rays = (wrt_camera.reshape(-1, len(errors.camera)) @ errors.camera).reshape(len(wrt_camera), 2, count)
-    # m . r = d / depth: the cosine by the tilts is e1 . r and e2 . r, and the distance acts like a cosine of -1 / depth
-    cosine_wrt_tilts = (errors.basis[laser] @ stripes.rays[:, :, None])[:, :, 0]
-    y_wrt_plane = stripes.y_wrt_cosine[:, None] * np.column_stack([cosine_wrt_tilts, -1.0 / stripes.depth])
-    ordinates = (y_wrt_plane[:, None] @ errors.lasers[laser])[:, 0]
+    # m . r = d / depth: the cosine by the tilts is e1 . r and e2 . r; the distance acts like a cosine of -1 / depth,
+    # and so does the elevation of a bent sheet
+    by_sheet = [(errors.basis[laser] @ stripes.rays[:, :, None])[:, :, 0], -1.0 / stripes.depth]
+    if observations.bend_m is not None:
+        by_sheet.append(observations.bend_m / -stripes.depth[:, None])
+    y_wrt_sheet = stripes.y_wrt_cosine[:, None] * np.column_stack(by_sheet)
+    ordinates = (y_wrt_sheet[:, None] @ errors.lasers[laser])[:, 0]
     jacobian = np.zeros((len(residuals.residual), count))
     for factor, rows, _, by in _seen(residuals):
         jacobian[rows] = (factor.wrt_ray(residuals.at)[:, :, None] * rays[factor.ray]).sum(axis=1)

@@ -37,6 +37,7 @@ from ringpose.types.rig import (
     Mount,
     ParameterCovariance,
     Rig,
+    bow_parameters,
     camera_parameters,
     laser_parameters,
 )
@@ -186,7 +187,9 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
     fields.choice("ringpose", (SCHEMA,))
     entry = definition_of(RigFile).read(fields, OF_FILE)
     camera, lasers = ros.checked_camera(fields.fields("camera"), entry.camera), _lasers(fields, entry.lasers)
+    bows = {laser.name: laser.bow for laser in entry.lasers if laser.bow is not None}
     known = camera_parameters(len(camera.distortion_coefficients)) + laser_parameters(lasers.names)
+    known += bow_parameters(bows)
     return Rig(
         camera=camera,
         lasers=lasers,
@@ -194,7 +197,7 @@ def rig_of(fields: Fields, sha256: str = "") -> Rig:
         mount=None if entry.mount is None else _mount(fields.fields("mount"), entry.mount),
         stability=entry.stability,
         ghosts={laser.name: laser.ghost for laser in entry.lasers if laser.ghost is not None},
-        bows={laser.name: laser.bow for laser in entry.lasers if laser.bow is not None},
+        bows=bows,
         provenance=entry.provenance or {},
         sha256=sha256,
     )

@@ -83,17 +83,6 @@ def intersect(
     return points
 
 
-def sheet_bend_m(
-    points: Float64[Array, "*shape xyz=3"], normal: Float64[Array, "*#shape xyz=3"]
-) -> Float64[Array, "*shape"]:
-    """Elevation of a sheet of light of bow 1 over its plane at points of it: range times angle squared (`LaserBow`)."""
-    axis = np.array([0.0, 0.0, 1.0]) - normal[..., 2:] * normal
-    axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    along, aside = (points * axis).sum(axis=-1), (points * np.cross(normal, axis)).sum(axis=-1)
-    bend: Float64[Array, "*shape"] = np.hypot(along, aside) * np.arctan2(aside, along) ** 2
-    return bend
-
-
 def _focal_and_principal(camera: Camera) -> tuple[Float64[Array, "2"], Float64[Array, "2"]]:
     matrix = camera.camera_matrix
     return np.array([matrix[0, 0], matrix[1, 1]]), np.array([matrix[0, 2], matrix[1, 2]])

@@ -39,7 +39,14 @@ def stripe_segments(
 ) -> bytes: ...
 def arcs(points: Array, arc: Array, arcs: Array, /) -> None: ...
 def faces(
-    segments: Array, unlabelled: int, planes: Array, unions: _Record, candidates: _Record, ring: _Record, /
+    segments: Array,
+    unlabelled: int,
+    planes: Array,
+    bends: Array | None,
+    unions: _Record,
+    candidates: _Record,
+    ring: _Record,
+    /,
 ) -> tuple[bytes, tuple[_Group, _Group, _Group], tuple[float, float, tuple[_Chord, ...]]]: ...
 def ends(images: tuple[tuple[Array, Array | None, Array], ...], lens: _Record, params: _Record, /) -> bytes: ...
 def edge_places(

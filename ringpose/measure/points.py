@@ -11,8 +11,9 @@ import numpy as np
 
 from ringpose.estimate.nuisance import point_jacobians, points_wrt_errors, rig_errors
 from ringpose.geometry.camera_motion import CameraMotion
-from ringpose.geometry.rays import intersect, rays, sheet_bend_m, undistorted_pixels
+from ringpose.geometry.rays import rays, undistorted_pixels
 from ringpose.geometry.rotations import skew
+from ringpose.geometry.sheets import light_normals, sheet_points
 from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.assumptions import RigStability
 from ringpose.types.detection import UNLABELLED, BreakPoints, Detection, Stripes, stamps_of
@@ -23,9 +24,6 @@ from ringpose.types.rig import NO_ROBOT_POSES, Rig
 ON_FACE_SIGMAS = 5.0
 """Distance from the line of a stripe on the ring's face within which a centre is on it. With half of it, one centre in
 80 is left out; with twice as much, more centres are on the lines of two lasers, and are left out where these cross."""
-
-BEND_STEPS = 6
-"""Corrections of a light plane by the bend of its sheet; each is at most a tenth of the one before."""
 
 
 def stripe_points(
@@ -68,7 +66,7 @@ def _points_in_camera(
     laser = _lasers_of_centers(stripes, break_points if isinstance(break_points, BreakPoints) else None, rig)
     position_m = np.full((len(laser), 3), np.nan)
     known = laser != UNLABELLED
-    position_m[known] = points_in_sheets(stripes.position_px[known], laser[known], rig)
+    position_m[known] = sheet_points(rays(stripes.position_px[known], rig.camera), laser[known], rig)
     kept = np.isfinite(position_m).all(axis=1)
     noise_m, common_m2 = _errors(position_m[kept], stripes.sigma_px[kept], laser[kept], rig, stability)
     return StripePoints(
@@ -80,21 +78,6 @@ def _points_in_camera(
         stamp_s=stamps_of(stripes)[stripes.piece[kept]],
         position_px=stripes.position_px[kept],
     ), LeftOut(laser_unknown=int((~known).sum()), no_intersection=int((known & ~kept).sum()))
-
-
-def points_in_sheets(
-    position_px: Float64[Array, "n xy=2"], laser: Int64[Array, "n"], rig: Rig
-) -> Float64[Array, "n xyz=3"]:
-    """Intersections of pixels' rays with the sheets of light of their lasers; NaN where there is none.
-
-    A sheet is its plane, elevated by its bow if calibration has found one.
-    """
-    ray, normal, distance_m = rays(position_px, rig.camera), rig.lasers.normal[laser], rig.lasers.distance_m[laser]
-    points = intersect(ray, normal, distance_m)
-    bow = np.array([rig.bows[name].per_rad if name in rig.bows else 0.0 for name in rig.lasers.names])[laser]
-    for _ in range(BEND_STEPS if bow.any() else 0):
-        points = intersect(ray, normal, distance_m + bow * sheet_bend_m(points, normal))
-    return points
 
 
 def _errors(
@@ -111,18 +94,12 @@ def _errors(
     """
     if not len(points):
         return np.zeros((0, 3)), np.zeros((0, 3, 3))
-    normal = rig.lasers.normal[laser]
-    jacobians = point_jacobians(points, normal, rig.camera)
+    jacobians = point_jacobians(points, light_normals(points, laser, rig), rig.camera)
     noise_m = jacobians.wrt_pixel[:, :, 0 if rig.stripes_along_columns else 1] * sigma_px[:, None]
     errors = rig_errors(rig, stability)
     common_m = (
         np.zeros((len(points), 3, 0)) if errors is None else points_wrt_errors(points, laser, rig, jacobians, errors)
     )
-    sd = np.array([rig.bows[name].sd_per_rad if name in rig.bows else 0.0 for name in rig.lasers.names])[laser]
-    if sd.any():
-        ray = points / points[:, 2:]
-        elevation = sd * sheet_bend_m(points, normal) / (normal * ray).sum(axis=1)
-        common_m = np.concatenate([common_m, (ray * elevation[:, None])[:, :, None]], axis=2)
     return noise_m, common_m @ common_m.swapaxes(1, 2)
 
 

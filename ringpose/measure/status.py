@@ -3,7 +3,6 @@
 The stages report findings; this module alone decides which flags they set, and states them in the reason of the line.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -264,17 +263,6 @@ RULES = (
         ),
         remedy="Nothing is needed; filter, cover glass or lens cause it.",
     ),
-    FlagRule(
-        flag=PoseFlag.RIG_BENT,
-        findings=Finding.PLANES_BENT,
-        meaning=(
-            "By the rig file, a light plane is bent (`lasers[].bow`), at the image's border by more than the tilt of "
-            "its `stability`; the pose is estimated as if it were flat."
-        ),
-        remedy="Exchange the laser, or calibrate with boards where the rings will be.",
-        forbids=ALL,
-        lasting=True,
-    ),
 )
 """One row for each flag, in the order of `PoseFlag`."""
 
@@ -348,14 +336,6 @@ def findings_of(detection: Detection, rejected: Sequence[Rejection] = ()) -> Fin
     for each in rejected:
         findings |= FINDING_OF_REJECTION[each.what]
     return findings
-
-
-def findings_of_rig(rig: Rig) -> Finding:
-    """What the rig states about itself."""
-    (fx, fy), camera = np.diag(rig.camera.camera_matrix)[:2].tolist(), rig.camera
-    border_rad = math.atan(max(camera.image_width / fx, camera.image_height / fy) / 2.0)
-    bent_rad = max((abs(bow.per_rad) for bow in rig.bows.values()), default=0.0) * border_rad**2
-    return Finding.PLANES_BENT if bent_rad > rig.stability.plane_tilt_rad else NOTHING
 
 
 def edges_missing(by_detector: Sequence[Rejection]) -> bool:
@@ -473,7 +453,6 @@ SENTENCES = MappingProxyType(
         Finding.POINT_SATURATED: "a break point could not be measured, as its stripe is saturated",
         Finding.POINT_CUT_OFF: "a break point could not be measured, as its stripe is cut off by the image's border",
         Finding.AMBIENT_CHANGED: "ambient light changed within the shot",
-        Finding.PLANES_BENT: "by the rig file a light plane is bent, and counts as flat",
         Finding.PLANE_MOVED: "the light plane of laser {laser} {change}",
         Finding.PLANE_OR_CAMERA_MOVED: "the light plane of laser {laser} {change}, or the camera has turned",
         Finding.RIG_DISAGREES: "the stripes disagree with the rig: a light plane or the camera has moved",
@@ -505,13 +484,13 @@ def explained(best: "Explanation") -> str:
     return f"{cause}, but the rest disagrees, too" if cause else sentences(Finding.UNEXPLAINED)
 
 
-def reason_of(result: PoseResult, detection: Detection, of_rig: Finding = NOTHING) -> str | None:
+def reason_of(result: PoseResult, detection: Detection) -> str | None:
     """Why there is no pose, or what contradicts it, and what would improve the shot; None if there is neither."""
     no_pose = isinstance(result.pose, NoPose)
     why = result.pose.value if isinstance(result.pose, NoPose) else contradictions(result, detection.rejected)
     limited = no_pose or detection.ambient_changed or result.flags & ~HARMLESS_FLAGS
     changed = sentences(Finding.AMBIENT_CHANGED) if detection.ambient_changed else ""
-    return "; ".join(filter(None, [why, changed, sentences(of_rig), detection.advice if limited else ""])) or None
+    return "; ".join(filter(None, [why, changed, detection.advice if limited else ""])) or None
 
 
 def contradictions(result: PoseResult, rejected: Sequence[Rejection]) -> str | None:

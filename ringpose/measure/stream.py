@@ -384,8 +384,8 @@ def pose_line(
     )
     if located is not None and frame is not PoseFrame.CAMERA:
         result = _in_frame(result, located, frame)
-    pose, rejected, of_rig = result.pose, result.rejected or source.rejected, status.findings_of_rig(rig)
-    flags = result.flags | status.flags_of(status.findings_of(source, rejected) | of_rig)
+    pose, rejected = result.pose, result.rejected or source.rejected
+    flags = result.flags | status.flags_of(status.findings_of(source, rejected))
     protection, budget = None, dict[str, dict[str, float]]()
     if result.separation is not None and isinstance(pose, RingPose):
         separation = result.separation()
@@ -400,7 +400,7 @@ def pose_line(
         pose_stamp_s=result.stamp_s if isfinite(result.stamp_s) else source.stamp_s,
         pose=pose if isinstance(pose, RingPose) else None,
         flags=flags,
-        reason=status.reason_of(result, source, of_rig),
+        reason=status.reason_of(result, source),
         frame=frame,
         velocity=result.velocity,
         protection=protection,

@@ -19,8 +19,9 @@ from ringpose.estimate.covariance import (
 )
 from ringpose.estimate.nuisance import point_covariance
 from ringpose.geometry.least_squares import damped_solution, inverse_condition
-from ringpose.geometry.rays import GRAZING, intersect, nearest_plane, project, rays
+from ringpose.geometry.rays import GRAZING, nearest_plane, project, rays
 from ringpose.geometry.rotations import tilt_basis
+from ringpose.geometry.sheets import light_normals, sheet_points
 from ringpose.kernels import _kernels, column_slices
 from ringpose.measure.status import flags_of
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64
@@ -189,7 +190,8 @@ def prediction_rms_px(form: ClosedForm, points: RingPoints, break_points: BreakP
     of one.
     """
     laser, edge = np.nonzero(points.seen)
-    normal, light_normal, seen_m = form.normal[0], rig.lasers.normal[laser], points.position_m[laser, edge]
+    normal, seen_m = form.normal[0], points.position_m[laser, edge]
+    light_normal = light_normals(seen_m, laser, rig)
 
     # each point moved within its light plane, the shortest way, onto the ring's plane
     uphill = normal - (light_normal @ normal)[:, None] * light_normal
@@ -445,5 +447,5 @@ def triangulated(break_points: BreakPoints, rig: Rig) -> RingPoints:
     NaN where a break point was not seen, and where its ray is parallel to the plane or meets it behind the camera.
     """
     directions = rays(break_points.position_px, rig.camera)
-    position = intersect(directions, rig.lasers.normal[:, None], rig.lasers.distance_m[:, None])
+    position = sheet_points(directions, np.arange(len(rig.lasers.names))[:, None], rig)
     return RingPoints(position_m=position)

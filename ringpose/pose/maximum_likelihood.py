@@ -313,6 +313,7 @@ def _priors(best: Explanation, pose_quantities: Quantities, source: str) -> Prio
         radius=radius,
         rig_covariance=rig.covariance is not None and bool(np.isfinite(rig.covariance.data).all()),
         moved_planes=rig.moved_planes,
+        bent_planes=rig.bows,
         regularization=prior_rows(best.estimate, best.prior, pose_quantities),
     )
 

@@ -91,7 +91,7 @@ def _drawn_views(calibration: PlanesCalibration, views: Sequence[StripeView]) ->
 
 
 def _planes(calibration: PlanesCalibration, paper: PlanesCalibration | None) -> Table:
-    """Each plane with its uncertainty, its residuals, and its difference to the paper's method."""
+    """Each plane with its uncertainty, its residuals, its bow, and its difference to the paper's method."""
     deviations = {} if calibration.covariance is None else calibration.covariance.standard_deviations
     rows = []
     for index, laser in enumerate(calibration.lasers):
@@ -110,9 +110,13 @@ def _planes(calibration: PlanesCalibration, paper: PlanesCalibration | None) -> 
                 _micrometres(laser.held_out_rms_m),
             ]
         )
+        if calibration.bows:
+            bow = calibration.bows.get(laser.name)
+            rows[-1].append("flat" if bow is None else f"{bow.per_rad:.5f} ± {bow.sd_per_rad:.5f}")
         if paper is not None:
             rows[-1].append(_degrees(float(angle_between(laser.normal, paper.lasers[index].normal))))
     headings = ["laser", "normal", "distance mm", "tilt sd deg", "distance sd um", "rms um", "held out um"]
+    headings += ["bow 1/rad"] if calibration.bows else []
     headings += [] if paper is None else ["to the paper's method deg"]
     return Table(headings=headings, rows=rows)
 

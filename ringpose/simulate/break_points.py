@@ -72,10 +72,11 @@ def ring_crossings_m(
         along, length = placement.rotation[:, 0], 1.0
     arcs = [ring_arcs(center_m, normal, radius_m, center_m + side * along / length) for center_m in centers_m]
     distance_m = np.stack([planes.distance_m, planes.distance_m])
-    for _ in range(BEND_STEPS if illuminated.laser_light.bow_per_rad else 1):
+    bow_per_rad = illuminated.bow_per_rad
+    for _ in range(BEND_STEPS if bow_per_rad.any() else 1):
         at_edges = [predicted_break_points(arcs[k], planes.normal, distance_m[k])[:, k] for k in (0, 1)]
         point_m = np.stack(at_edges, axis=1)
-        distance_m = planes.distance_m + bend_m(planes, illuminated.laser_light, point_m).T
+        distance_m = planes.distance_m + bend_m(planes, bow_per_rad, point_m).T
     return point_m
 
 

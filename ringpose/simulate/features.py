@@ -120,6 +120,7 @@ def _reject_what_images_show(scene: Scene) -> None:
     shown = {
         "lasers.ghost": scene.lasers.ghost is not None,
         "lasers.bow_per_rad": scene.lasers.bow_per_rad != 0.0,
+        "rig (bent light planes)": bool(scene.rig.bows),
         "ring.slope_rad": bool(np.ptp(scene.ring.edge_heights_m)),
         "obstacles": bool(scene.obstacles),
         "rig (stripes along columns)": scene.rig.stripes_along_columns,

@@ -3,7 +3,8 @@
 Directions are those of the camera frame; the ray caster turns them into the target frame.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ringpose.kernels import render
 from ringpose.kernels.render import TargetTables
 from ringpose.simulate.placement import Placement
 from ringpose.types.arrays import Array, Bool, Float32, Float64
-from ringpose.types.rig import LaserPlanes
+from ringpose.types.rig import LaserBow, LaserPlanes
 from ringpose.types.scene import Earth, LaserLight, Light
 
 _LAMP_DIRECTIONS = np.array([[0.45, -0.75, -0.50], [-0.85, -0.25, -0.45], [0.20, 0.60, -0.77], [0.95, 0.10, -0.30]])
@@ -39,6 +40,14 @@ class IlluminatedTarget:
     light: Light
     lasers: tuple[int, ...]
     """Lasers that are on in at least one frame; the layers of the others stay black."""
+    bows: Mapping[str, LaserBow] = field(default_factory=dict)
+    """By the laser's name, bends that the rig states, in addition to that of all lasers in `laser_light`."""
+
+    @property
+    def bow_per_rad(self) -> Float64[Array, "laser"]:
+        """How each laser's sheet is bent."""
+        of_rig = [self.bows[name].per_rad if name in self.bows else 0.0 for name in self.planes.names]
+        return self.laser_light.bow_per_rad + np.array(of_rig)
 
     @property
     def has_ambient_light(self) -> bool:
@@ -93,7 +102,7 @@ def in_fan(sheet: Sheets, laser: int, point: Float64[Array, "xyz=3 n"]) -> Bool[
 
 
 def bend_m(
-    planes: LaserPlanes, light: LaserLight, point_m: Float64[Array, "laser *shape xyz=3"]
+    planes: LaserPlanes, bow_per_rad: Float64[Array, "laser"], point_m: Float64[Array, "laser *shape xyz=3"]
 ) -> Float64[Array, "laser *shape"]:
     """Distance of each laser's bent sheet from its plane where points are projected on it, along the normal."""
     shape = (len(planes.names), *[1] * (point_m.ndim - 2), 3)
@@ -101,7 +110,8 @@ def bend_m(
     from_projector = point_m - planes.projector_m.reshape(shape)
     aside = (np.cross(normal, axis) * from_projector).sum(axis=-1)
     angle = np.arctan2(aside, (axis * from_projector).sum(axis=-1))
-    bent: Float64[Array, "laser *shape"] = light.bow_per_rad * angle**2 * np.linalg.norm(from_projector, axis=-1)
+    bow = bow_per_rad.reshape(shape[:-1])
+    bent: Float64[Array, "laser *shape"] = bow * angle**2 * np.linalg.norm(from_projector, axis=-1)
     return bent
 
 
@@ -135,7 +145,7 @@ def caster_view(
                 planes.projector_m,
                 _fan_axes(planes),
                 on,
-                np.full(len(on), laser.bow_per_rad),
+                illuminated.bow_per_rad,
             ]
         ),
         light=render.SceneLight(

@@ -178,6 +178,7 @@ def render_board_view(
         laser_light=scene.lasers,
         light=Light(name="boards", ambient_w_m2=boards.ambient_w_m2),
         lasers=_lasers_on(scene, masks),
+        bows=scene.rig.bows,
     )
     return render_view(scene, illuminated, (_BOARDS, scene.seed, len(boards.sequence), number))
 
@@ -209,6 +210,7 @@ def illuminated_ring(
         laser_light=scene.lasers,
         light=light,
         lasers=_lasers_on(scene, masks),
+        bows=scene.rig.bows,
     )
 
 

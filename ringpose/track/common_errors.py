@@ -65,10 +65,11 @@ def common_errors(
         raise DataError(line.shot, "its priors include the covariance of a rig file", "give that file with --rig")
     assumed = priors.assumptions
     tolerance_m = max(assumed.ring_tolerance_m, form_tolerance_m or 0.0)
-    if priors.moved_planes:  # of the following shots; they change when another plane has moved
-        common = _common_errors(names, assumed.stability, tolerance_m, assumed.face_slope_rad, rig, priors.moved_planes)
-    else:
-        common = _common_errors_of_stream(names, assumed.stability, tolerance_m, assumed.face_slope_rad, rig)
+    bow_sds = tuple((f"{laser}.bow", bow.sd_per_rad) for laser, bow in priors.bent_planes.items())
+    added = names, assumed.stability, tolerance_m, assumed.face_slope_rad, bow_sds, rig
+    # planes that have moved are those of the following shots; they change when another plane has moved
+    moved = priors.moved_planes
+    common = _common_errors(*added, moved) if moved else _common_errors_of_stream(*added)
     if isinstance(common, str):
         remedy = "give the output of ringpose pose unchanged"
         raise DataError(line.shot, f"has the nuisance parameter {common!r}, for which it states no prior", remedy)
@@ -96,10 +97,12 @@ def _common_errors(
     stability: RigStability,
     ring_tolerance_m: float,
     face_slope_rad: float,
+    bow_sds: tuple[tuple[str, float], ...],
     rig: Rig | None,
     moved_planes: Mapping[str, PlaneCorrection] = MappingProxyType({}),
 ) -> CommonErrors | str:
     """The errors, or the name of a parameter without a prior; the same for all records of a stream."""
+    stated = dict(bow_sds)
     calibrated = NOT_CALIBRATED if rig is None or rig.covariance is None else rig.covariance
     covariance = calibrated.of(names)
     added = {
@@ -111,6 +114,9 @@ def _common_errors(
     }
     for index, name in enumerate(names):
         form, what = name.startswith("form."), name.rpartition(".")[2]
+        if name in stated and name not in calibrated.parameters:
+            covariance[index, index] = stated[name] ** 2
+            continue
         if not form and what not in added and name not in calibrated.parameters:
             return name
         covariance[index, index] += (FORM_SHARE * ring_tolerance_m if form else added.get(what, 0.0)) ** 2

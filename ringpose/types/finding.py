@@ -73,8 +73,6 @@ class Finding(IntFlag):
     AMBIENT_CHANGED = auto()
     GHOST_REMOVED = auto()
     """Fainter copies of the stripes were subtracted from the frames."""
-    PLANES_BENT = auto()
-    """The rig states a light plane that is bent more than its stability admits, and poses take it for flat."""
 
     # What a stream of shots has shown
     PLANE_MOVED = auto()

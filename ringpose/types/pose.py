@@ -18,7 +18,7 @@ from ringpose.types.detection import Rejection
 from ringpose.types.options import PoseFrame
 from ringpose.types.protection import Protection, Separation
 from ringpose.types.record import Form, Key, Presence
-from ringpose.types.rig import PlaneCorrection
+from ringpose.types.rig import LaserBow, PlaneCorrection
 
 
 class NoPose(Enum):
@@ -86,8 +86,6 @@ class PoseFlag(IntFlag):
     """The ring's edges are rounded or chamfered: the stripes fade over more columns than the optical blur explains."""
     GHOST_REMOVED = 1 << 22
     """Fainter copies of the stripes, by reflection inside the camera, were subtracted."""
-    RIG_BENT = 1 << 23
-    """A light plane of the rig is bent, and the pose is estimated as if it were flat."""
 
 
 HARMLESS_FLAGS = PoseFlag.RADIUS_UNVERIFIED | PoseFlag.RIG_UNCHECKED | PoseFlag.GHOST_REMOVED
@@ -358,6 +356,10 @@ class RigPriors:
         Mapping[str, PlaneCorrection],
         Key("After a drift: each light plane that was corrected.", presence=Presence.IF_KNOWN),
     ] = field(default_factory=dict)
+    bent: Annotated[
+        Mapping[str, LaserBow],
+        Key("Each light plane that is bent, as in the rig file.", presence=Presence.IF_KNOWN),
+    ] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -369,6 +371,7 @@ class Priors:
     rig_covariance: bool = False
     """Whether the covariance of rig.yaml was used; without one the calibration counts as exact."""
     moved_planes: Mapping[str, PlaneCorrection] = field(default_factory=dict)
+    bent_planes: Mapping[str, LaserBow] = field(default_factory=dict)
     """The corrections of light planes, by the laser's name."""
     regularization: Annotated[
         Float64[Array, "row column=13"] | None,
@@ -386,7 +389,13 @@ class Priors:
         assumptions = Assumptions(
             motion=motion, ring_tolerance_m=ring_tolerance_m, stability=rig.stability, face_slope_rad=face_slope_rad
         )
-        return cls(assumptions=assumptions, rig_covariance=rig.covariance, moved_planes=rig.moved, **keys)
+        return cls(
+            assumptions=assumptions,
+            rig_covariance=rig.covariance,
+            moved_planes=rig.moved,
+            bent_planes=rig.bent,
+            **keys,
+        )
 
     @property
     def motion(
@@ -427,7 +436,12 @@ class Priors:
         self,
     ) -> Annotated[RigPriors, Key("What is assumed about the rig.", after="face_slope_rad", is_read=True)]:
         """What is assumed about the rig."""
-        return RigPriors(covariance=self.rig_covariance, stability=self.assumptions.stability, moved=self.moved_planes)
+        return RigPriors(
+            covariance=self.rig_covariance,
+            stability=self.assumptions.stability,
+            moved=self.moved_planes,
+            bent=self.bent_planes,
+        )
 
 
 class LaserState(StrEnum):

@@ -1,6 +1,6 @@
 """The rig: camera, light planes, their joint covariance, and the robot or tool that carries the camera."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any
@@ -20,6 +20,10 @@ CAMERA_PARAMETERS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "k4",
 PLANE_PARAMETERS = ("tilt_1", "tilt_2", "distance")
 """Parameters of each light plane."""
 
+BOW_PARAMETERS = ("bow", "projector_1", "projector_2")
+"""Parameters of the bend of a light plane: its bow, and its projector's position in the plane, across the direction
+nearest to the optical axis and along it."""
+
 
 def camera_parameters(coefficients: int) -> tuple[str, ...]:
     """Names of a camera's parameters, for this number of distortion coefficients."""
@@ -31,19 +35,26 @@ def laser_parameters(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{name}.{what}" for name in names for what in PLANE_PARAMETERS)
 
 
+def bow_parameters(names: Iterable[str]) -> tuple[str, ...]:
+    """Names of the parameters of the bends of lasers, those of each laser in turn."""
+    return tuple(f"{name}.{what}" for name in names for what in BOW_PARAMETERS)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ParameterCovariance:
     """Joint covariance of named parameters; pixels, radians, metres.
 
     Names: `CAMERA_PARAMETERS`, and `<laser>.tilt_1 <laser>.tilt_2 <laser>.distance` of each light plane (tilt basis:
-    `ringpose.geometry.rotations.tilt_basis`).
+    `ringpose.geometry.rotations.tilt_basis`), and `BOW_PARAMETERS` of those that are bent.
     """
 
     parameters: Annotated[
         tuple[str, ...],
         Key(
             "Names of the parameters: `fx`, `fy`, `cx`, `cy`, `k1`, `k2`, `p1`, `p2`, `k3` (to `k6`) in pixels and "
-            "without unit, and of a rig `LASER.tilt_1`, `LASER.tilt_2` in radians and `LASER.distance` in metres."
+            "without unit, and of a rig `LASER.tilt_1`, `LASER.tilt_2` in radians and `LASER.distance` in metres; of a "
+            "bent plane `LASER.bow` in 1/rad and, across the axis and along it, `LASER.projector_1` and "
+            "`LASER.projector_2` in metres."
         ),
     ]
     data: Annotated[Float64[Array, "parameter parameter"], Key("Their joint covariance.", form=Form.COVARIANCE)]
@@ -204,15 +215,17 @@ class LaserGhost:
 class LaserBow:
     """How a sheet of light is bent: `normal @ point - distance_m = per_rad * range * angle**2` in the camera frame.
 
-    Range and angle of a point are those in the plane, the angle from the direction nearest to the optical axis. The
-    constant and the linear part of the bend are in the plane, which is the one that fits best.
+    Range and angle of a point are those in the plane about the projector (the camera's centre where `projector_m` is
+    not known), the angle from the direction nearest to the optical axis (`ringpose.geometry.sheets`).
     """
 
     per_rad: Annotated[
         float,
         Key("Elevation over its plane, in radians, by the square of the angle in it.", plausible=plausible.BOW_PER_RAD),
     ]
-    sd_per_rad: Annotated[float, Key("Its standard deviation.", least=0.0)]
+    sd_per_rad: Annotated[
+        float, Key("Its standard deviation, used where `covariance` does not have the bow.", least=0.0)
+    ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -246,7 +259,7 @@ class Rig:
     ghosts: Mapping[str, LaserGhost] = field(default_factory=dict)
     """By the laser's name, what calibrate-planes has seen; other lasers may have a ghost that it has not seen."""
     bows: Mapping[str, LaserBow] = field(default_factory=dict)
-    """By the laser's name, how its light plane is bent; poses are estimated as if it were flat."""
+    """By the laser's name, how its light plane is bent; other planes are flat."""
     provenance: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
     """Hash of the rig file; empty if the rig was not read from a file."""

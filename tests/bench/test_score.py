@@ -226,7 +226,6 @@ EXCUSES = {
     PoseFlag.RADIUS_UNVERIFIED: {"center", "radius_inner", "radius_outer"},
     PoseFlag.INCONSISTENT: set(JUDGED),
     PoseFlag.ASSIGNMENT_AMBIGUOUS: set(JUDGED),
-    PoseFlag.RIG_BENT: set(JUDGED),
 }
 """The quantities that a flag names; the other flags name none."""
 

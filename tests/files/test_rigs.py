@@ -34,8 +34,8 @@ def test_corner_rms_is_the_median_of_the_boards_if_the_rig_has_them(rig_file, tm
 
 
 def test_rig_with_everything_is_read_as_it_was_written(rig_file, tmp_path, rng):
-    names = ("fx", "k3", "left.tilt_1", "right.distance")
-    root = rng.normal(size=(4, 4)) * np.array([[1.0], [0.01], [1e-4], [1e-5]])
+    names = ("fx", "k3", "left.tilt_1", "right.distance", "left.bow", "left.projector_1")
+    root = rng.normal(size=(6, 6)) * np.array([[1.0], [0.01], [1e-4], [1e-5], [1e-3], [0.01]])
     before = read_rig(rig_file())
     joint = ParameterCovariance(parameters=names, data=root @ root.T)
     ghost = LaserGhost(offset_px=-15.0, offset_sd_px=0.02, ratio=0.1, ratio_sd=0.001)

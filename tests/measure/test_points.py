@@ -11,7 +11,7 @@ from ringpose.estimate.nuisance import covariance_root
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import rotation_by
-from ringpose.measure.points import points_in_sheets, stripe_points
+from ringpose.measure.points import stripe_points
 from ringpose.types.assumptions import RigStability
 from ringpose.types.detection import UNLABELLED, Detection, NoBreakPoints, Stripes
 from ringpose.types.options import PoseFrame
@@ -120,21 +120,22 @@ def test_points_of_a_rig_that_has_moved_are_not_covered_by_the_noise_alone(rng):
     assert np.linalg.norm(off_m) < 3 * np.sqrt(direction @ variance @ direction)
 
 
-def test_a_point_lies_on_the_bent_sheet_of_its_laser():
+def test_a_point_lies_on_the_bent_sheet_of_its_laser_and_is_as_uncertain_as_its_bow():
     rig = make_scene("B").rig
-    normal, distance_m, bow = rig.lasers.normal[1], rig.lasers.distance_m[1], 0.004
-    rig = replace(rig, bows={rig.lasers.names[1]: LaserBow(per_rad=bow, sd_per_rad=1e-4)})
-    ahead = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
-    ahead /= np.linalg.norm(ahead)
-    range_m, angle = 0.6, np.linspace(-0.3, 0.3, 7)
-    in_plane = range_m * (np.cos(angle)[:, None] * ahead + np.sin(angle)[:, None] * np.cross(normal, ahead))
-    true_m = in_plane + (distance_m + bow * range_m * angle**2)[:, None] * normal
+    name, bow = rig.lasers.names[1], LaserBow(per_rad=0.004, sd_per_rad=1e-3)
+    bent = replace(rig, bows={name: bow})
+    places_px = np.array([[300.0, 500.0], [800.0, 500.0]])
 
-    found_m = points_in_sheets(project(true_m, rig.camera), np.ones(7, dtype=np.int64), rig)
-    flat_m = points_in_sheets(project(true_m, rig.camera), np.ones(7, dtype=np.int64), replace(rig, bows={}))
+    points, more, flat = (
+        stripe_points(detection_of(places_px, [1, 1]), each, EXACT).points
+        for each in (bent, replace(rig, bows={name: replace(bow, per_rad=0.005)}), rig)
+    )
 
-    np.testing.assert_allclose(found_m, true_m, rtol=0, atol=1e-8)
-    assert np.linalg.norm(flat_m[0] - true_m[0]) > 1e-3
+    assert np.linalg.norm(points.position_m - flat.position_m, axis=1)[0] > 1e-3
+    by_bow = points.covariance_m2 - points.noise_m[:, :, None] * points.noise_m[:, None, :]
+    change_m = more.position_m - points.position_m
+    np.testing.assert_allclose(by_bow[0], np.outer(change_m[0], change_m[0]), rtol=0.05)
+    assert np.linalg.norm(change_m[1]) < 0.01 * np.linalg.norm(change_m[0])
 
 
 def test_with_all_lasers_on_only_stripes_on_the_face_have_a_laser():

@@ -39,6 +39,17 @@ def test_a_page_of_planes_shows_verdict_planes_and_views_once_and_no_log(views):
         assert title in text
 
 
+@pytest.mark.slow
+def test_a_page_of_planes_states_the_bows_of_those_that_are_bent(rng):
+    bent = stripe_views(true_poses(rng, 4), rng, center_px=0.15, bow_per_rad=[0.0114, 0.0, 0.0])
+    calibration = calibrate_planes(bent, TRUE_CAMERA, PlanesModel(names=NAMES))
+
+    html = planes_report(PlanesAssessment(calibration=calibration, verdict=planes_verdict(calibration)), bent, {})
+
+    assert "bow 1/rad" in html
+    assert f"{calibration.bows['left'].per_rad:.5f}" in html
+
+
 def test_a_picture_of_a_view_shows_its_image_and_rejected_corners_in_red(views):
     image = np.tile(np.linspace(0, 250, 1600).astype(np.uint8), (1200, 1))
     calibration = calibrate_planes(views, TRUE_CAMERA, PlanesModel(names=NAMES))

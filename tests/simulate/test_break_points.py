@@ -8,6 +8,7 @@ from scipy.optimize import brentq
 from ringpose.files.records.truths import read_truths
 from ringpose.files.rigs import read_rig
 from ringpose.simulate.pipeline import illuminated_ring, view_truth
+from ringpose.types.rig import LaserBow
 from ringpose.types.scene import RingView
 from ringpose.types.target import Gap, RingForm, RingShape, sloping
 
@@ -140,11 +141,14 @@ def test_break_points_of_a_sloping_face_lie_on_circles_at_the_heights_of_its_edg
         np.testing.assert_allclose(truth.break_points_px[laser, edge], expected_px, atol=1e-9)
 
 
+@pytest.mark.parametrize("stated_by", ["scene", "rig", "both"])
 @pytest.mark.parametrize("edge", [0, 1])
-def test_break_points_of_bent_sheets_are_on_rays_that_rise_with_the_square_of_their_angle(scene, view, edge):
+def test_break_points_of_bent_sheets_are_on_rays_that_rise_with_the_square_of_their_angle(scene, view, edge, stated_by):
     """Of the rays of a fan, the one that meets the circle is found by its angle, without the plane's equation."""
-    bow, radius_m = 0.2, (0.567, 0.597)[edge]
-    bent, planes = replace(scene, lasers=replace(scene.lasers, bow_per_rad=bow)), scene.rig.lasers
+    bow, radius_m, planes = 0.2, (0.567, 0.597)[edge], scene.rig.lasers
+    of_scene = {"scene": bow, "rig": 0.0, "both": 0.5 * bow}[stated_by]
+    bows = {name: LaserBow(per_rad=bow - of_scene, sd_per_rad=0.0) for name in planes.names}
+    bent = replace(scene, lasers=replace(scene.lasers, bow_per_rad=of_scene), rig=replace(scene.rig, bows=bows))
 
     points_px = truth_of(bent, view).break_points_px
 

@@ -1,5 +1,6 @@
 """What interrupts a stripe, or makes a second one, in rendered images and in their truth."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from ringpose.simulate.features import drawn_features
 from ringpose.simulate.pipeline import illuminated_ring, render_ring_view, view_truth
 from ringpose.simulate.renderer import layers, pixel_rays
 from ringpose.types.obstacles import Blanket, Cable, Heads
+from ringpose.types.rig import LaserBow
 from ringpose.types.scene import Ghost
 from ringpose.types.target import sloping
 
@@ -105,14 +107,17 @@ def test_a_sloping_face_keeps_its_radii_and_its_height_in_the_middle(ring):
     assert np.arctan2(outer_m - inner_m, 0.03) == pytest.approx(0.03, abs=1e-12)
 
 
-@pytest.mark.parametrize("key", ["lasers.ghost", "lasers.bow_per_rad", "ring.slope_rad", "obstacles"])
+@pytest.mark.parametrize(
+    "key", ["lasers.ghost", "lasers.bow_per_rad", "rig (bent light planes)", "ring.slope_rad", "obstacles"]
+)
 def test_features_are_not_drawn_of_what_only_images_show(scene, key):
     changed = {
         "lasers.ghost": {"lasers": replace(scene.lasers, ghost=Ghost(rows_px=-15.0, ratio=0.1))},
         "lasers.bow_per_rad": {"lasers": replace(scene.lasers, bow_per_rad=0.01)},
+        "rig (bent light planes)": {"rig": replace(scene.rig, bows={"left": LaserBow(per_rad=0.01, sd_per_rad=0.0)})},
         "ring.slope_rad": {"ring": sloping(scene.ring, 0.03)},
         "obstacles": {"obstacles": (Cable(kind="cable", angle_rad=0.0),)},
     }[key]
 
-    with pytest.raises(DataError, match=rf"the scene's {key}: .*render images"):
+    with pytest.raises(DataError, match=rf"the scene's {re.escape(key)}: .*render images"):
         next(drawn_features(replace(scene, **changed)))

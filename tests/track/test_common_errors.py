@@ -10,7 +10,7 @@ from ringpose.errors import DataError
 from ringpose.track.common_errors import common_errors
 from ringpose.types.assumptions import Assumptions, RigStability
 from ringpose.types.pose import LinearizationPoint, PoseLine, Priors, RingMeasurement
-from ringpose.types.rig import ParameterCovariance, PlaneCorrection
+from ringpose.types.rig import LaserBow, ParameterCovariance, PlaneCorrection
 
 STABILITY = RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4)
 CALIBRATED = ("fx", "fy", "left.tilt_1", "left.distance")
@@ -18,7 +18,7 @@ CALIBRATION = np.array([[0.25, 0.2, 0, 0], [0.2, 0.36, 0, 0], [0, 0, 4e-8, 1e-9]
 
 
 def covariance_of(
-    names, rig=None, rig_covariance=False, moved_planes=None, camera_motion="none", **assumed
+    names, rig=None, rig_covariance=False, moved_planes=None, bent_planes=None, camera_motion="none", **assumed
 ) -> np.ndarray:
     """Prior covariance of the nuisance parameters of a record with these priors."""
     point = LinearizationPoint(
@@ -38,7 +38,8 @@ def covariance_of(
         camera_motion=camera_motion,
     )
     assumptions = Assumptions(**assumed)
-    priors = Priors(assumptions=assumptions, rig_covariance=rig_covariance, moved_planes=moved_planes or {})
+    planes = {"moved_planes": moved_planes or {}, "bent_planes": bent_planes or {}}
+    priors = Priors(assumptions=assumptions, rig_covariance=rig_covariance, **planes)
     line = PoseLine(shot="a", stamp_s=0.0, pose=None, priors=priors)
     root = common_errors(line, measurement, rig).root
     return root @ root.T
@@ -66,6 +67,14 @@ def test_the_covariance_of_a_corrected_plane_replaces_calibration_and_stability(
 
     expected = np.diag([1e-9, 4e-9, 1e-11, 1e-8])
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-20)
+
+
+def test_a_bow_that_the_calibration_leaves_out_has_the_standard_deviation_of_the_record():
+    found = covariance_of(
+        ("left.bow", "left.tilt_1"), stability=STABILITY, bent_planes={"left": LaserBow(per_rad=0.01, sd_per_rad=3e-4)}
+    )
+
+    np.testing.assert_allclose(found, np.diag([9e-8, 1e-8]), rtol=1e-9, atol=1e-20)
 
 
 def test_coefficients_of_the_rings_form_share_the_variance_of_its_tolerance():

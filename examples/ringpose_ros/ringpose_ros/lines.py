@@ -14,11 +14,10 @@ WITHHELD = {
         "inconsistent",
         "normal_weak",
         "radius_inconsistent",
-        "rig_bent",
         "rig_drift",
         "side_unknown",
     },
-    "twist": {"assignment_ambiguous", "inconsistent", "rig_bent", "rig_drift", "velocity_weak"},
+    "twist": {"assignment_ambiguous", "inconsistent", "rig_drift", "velocity_weak"},
 }
 """Flags with which a message is not published: its covariance does not describe its error (ringpose-records(5))."""
 

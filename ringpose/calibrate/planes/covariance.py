@@ -29,6 +29,7 @@ from ringpose.types.rig import (
     LaserPlanes,
     ParameterCovariance,
     Rig,
+    bow_parameters,
     laser_parameters,
 )
 
@@ -45,16 +46,18 @@ RADII_M = (0.567, 0.597)
 def planes_covariance(
     names: tuple[str, ...],
     information: Float64[Array, "shared shared"],
-    given: Camera,
+    data: joint_adjustment.JointData,
     excess: float,
-    free_camera: bool,
 ) -> ParameterCovariance:
-    """Covariance of the camera's parameters (if `given` has a covariance) and of each plane's tilts and distance.
+    """Covariance of the camera's parameters (if the given one has a covariance) and of the planes and their bends.
 
     `information` is the result of `joint_information`.
     """
-    planes = laser_parameters(names)
+    given, free_camera = data.camera, data.free_camera
+    planes = laser_parameters(names) + bow_parameters(names[laser] for laser in data.bent)
     count = len(planes)
+    information = information.copy()
+    information[:count, :count] += excess * np.diag(data.prior)
     own = covariance_of_free(information[:count, :count])
     if given.covariance is None:
         return ParameterCovariance(parameters=planes, data=excess * own)
@@ -63,15 +66,15 @@ def planes_covariance(
         free = np.append(np.ones(count, dtype=bool), joint_adjustment.free_parameters(given))
         prior = np.zeros_like(information)
         prior[count:, count:] = joint_adjustment.prior_information(given)
-        data = covariance_of_free(np.where(np.outer(free, free), information / excess + prior, 0.0))
-        camera_first = np.roll(np.arange(len(data)), len(data) - count)
-        data = data[np.ix_(camera_first, camera_first)]
+        joint = covariance_of_free(np.where(np.outer(free, free), information / excess + prior, 0.0))
+        camera_first = np.roll(np.arange(len(joint)), len(joint) - count)
+        joint = joint[np.ix_(camera_first, camera_first)]
     else:
         # The planes' own errors, and those that they inherit from the camera to first order.
         plane_wrt_camera = -own @ information[:count, count:]
         cross = given.covariance.data @ plane_wrt_camera.T
-        data = np.block([[given.covariance.data, cross], [cross.T, excess * own + plane_wrt_camera @ cross]])
-    return ParameterCovariance(parameters=parameter_names(given.distortion_model) + planes, data=(data + data.T) / 2)
+        joint = np.block([[given.covariance.data, cross], [cross.T, excess * own + plane_wrt_camera @ cross]])
+    return ParameterCovariance(parameters=parameter_names(given.distortion_model) + planes, data=(joint + joint.T) / 2)
 
 
 def variance_excess(data: joint_adjustment.JointData, state: joint_adjustment.JointState) -> float:
@@ -124,8 +127,8 @@ def sheet_height_m(
     Boards at different distances and tilts determine h, and stripes of which a part is on the print. One Gauss-Newton
     step finds it.
     """
-    count = len(PLANE_PARAMETERS) * data.lasers
-    information, gradient = np.zeros((count + 1, count + 1)), np.zeros(count + 1)
+    count = data.sheets
+    information, gradient = np.diag(np.append(data.prior, 0.0)), np.zeros(count + 1)
     for index, (view, pose) in enumerate(zip(data.views, state.poses, strict=True)):
         corners = joint_adjustment.corner_rows(data, state, index)
         blocks = [np.column_stack([corners, np.zeros(len(corners))])]

@@ -18,6 +18,7 @@ ten times. Nor can the limit of its loss follow the scatter of a displaced strip
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -38,16 +39,21 @@ from ringpose.errors import DataError
 from ringpose.geometry.least_squares import Eliminated, covariance_of_free, gauss_newton, huber_weights, robust_std
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.geometry.rotations import tilted
+from ringpose.geometry.sheets import Bends, bends_in_planes
 from ringpose.types.arrays import Array, Bool, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.calibration import StripeView
-from ringpose.types.rig import PLANE_PARAMETERS, Camera
+from ringpose.types.rig import BOW_PARAMETERS, PLANE_PARAMETERS, Camera
 
 ROBUST_SIGMAS = 3.0
 """Limit of the Huber loss in standard deviations: 0.3 % of normal errors exceed it."""
 
-_POSE, _PLANE = 6, len(PLANE_PARAMETERS)
-"""Numbers of parameters of a board's pose and of a light plane."""
+_POSE, _PLANE, _BOW = 6, len(PLANE_PARAMETERS), len(BOW_PARAMETERS)
+"""Numbers of parameters of a board's pose, of a light plane and of its bend."""
+
+PROJECTOR_SD_M = 0.1
+"""Standard deviation, along each axis in the light plane, of the distance from the camera to the projector of a bent
+plane, before its stripes show it: camera and lasers share a housing or a bracket of that size."""
 
 _MAX_ITERATIONS = 50
 _CONVERGED = 1e-4
@@ -55,7 +61,7 @@ _CONVERGED = 1e-4
 weights follow the median and keep changing far below that."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class JointState:
     """The estimated quantities; light planes are `normal . point = distance_m` in the camera frame."""
 
@@ -63,6 +69,13 @@ class JointState:
     normal: Float64[Array, "laser xyz=3"]
     distance_m: Float64[Array, "laser"]
     camera: Camera
+    bow: Float64[Array, "laser parameter=3"] | None = None
+    """`BOW_PARAMETERS` of the light planes; None if all are flat."""
+
+    @cached_property
+    def bends(self) -> Bends | None:
+        """The bends of the light planes; None if all are flat."""
+        return None if self.bow is None else bends_in_planes(self.normal, self.bow)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,6 +93,19 @@ class JointData:
     """The given camera, with its covariance."""
     free_camera: bool = False
     """Whether the camera is estimated, with its covariance as prior."""
+    bent: tuple[int, ...] = ()
+    """Lasers of which the bend is estimated, with a prior of the projector's position."""
+
+    @property
+    def sheets(self) -> int:
+        """Number of parameters of the light planes: three of each, then three of each bend."""
+        return _PLANE * self.lasers + _BOW * len(self.bent)
+
+    @property
+    def prior(self) -> Float64[Array, "parameter"]:
+        """Information about these parameters before the measurement: 1 / variance."""
+        bow = [0.0, PROJECTOR_SD_M**-2, PROJECTOR_SD_M**-2]
+        return np.array([0.0] * (_PLANE * self.lasers) + bow * len(self.bent))
 
     @property
     def lasers(self) -> int:
@@ -175,6 +201,8 @@ def corner_chi2(view: StripeView, pose: BoardPose, camera: Camera, corner_px: fl
 class _Linearized(NamedTuple):
     """The steps from a state by the equations linearised there."""
 
+    bent: tuple[int, ...]
+    """Lasers whose bends are among the shared parameters."""
     shared_step: Float64[Array, "shared"]
     pose_steps: tuple[Float64[Array, "pose=6"], ...]
     decrease: float
@@ -185,9 +213,12 @@ def _linearized(data: JointData, state: JointState) -> _Linearized:
     """The steps of shared parameters and poses at a state, Eqs. (3) and (4)."""
     reduced = _without_poses(data, state)
     information, gradient = _sum_of_information(reduced), np.sum([one.gradient for one in reduced], axis=0)
-    planes = _PLANE * data.lasers
+    planes = data.sheets
     free = np.diag(information) > 0  # a laser without stripes keeps its plane
     free[planes:] = False
+    if data.bent and state.bow is not None:
+        information[:planes, :planes] += np.diag(data.prior)
+        gradient[:planes] -= data.prior * np.append(np.zeros(_PLANE * data.lasers), state.bow[list(data.bent)])
     if data.free_camera:
         free[planes:] = free_parameters(data.camera)
         prior = prior_information(data.camera)
@@ -195,6 +226,7 @@ def _linearized(data: JointData, state: JointState) -> _Linearized:
         gradient[planes:] += prior @ (parameters_of(data.camera) - parameters_of(state.camera))
     step = covariance_of_free(information, free) @ gradient
     return _Linearized(
+        bent=data.bent,
         shared_step=step,
         pose_steps=tuple(one.own(step) for one in reduced),
         decrease=float(step @ gradient) + sum(one.own_decrease for one in reduced),
@@ -205,17 +237,23 @@ def _retract(state: JointState, problem: _Linearized) -> JointState:
     """The state after the steps."""
     poses = [moved_pose(pose, step) for pose, step in zip(state.poses, problem.pose_steps, strict=True)]
     planes = _PLANE * len(state.distance_m)
-    plane = problem.shared_step[:planes].reshape(-1, _PLANE)  # two tilts and a distance each
+    plane, bow = problem.shared_step[:planes].reshape(-1, _PLANE), state.bow  # two tilts and a distance each
+    bends = planes + _BOW * len(problem.bent)
+    if problem.bent and bow is not None:
+        bow = bow.copy()
+        bow[list(problem.bent)] += problem.shared_step[planes:bends].reshape(-1, _BOW)
     normal = np.stack([tilted(own, tilt) for own, tilt in zip(state.normal, plane[:, :2], strict=True)])
-    camera_step = problem.shared_step[planes:]
+    camera_step = problem.shared_step[bends:]
     camera = camera_with(parameters_of(state.camera) + camera_step, state.camera) if camera_step.any() else state.camera
-    return JointState(poses=tuple(poses), normal=normal, distance_m=state.distance_m + plane[:, 2], camera=camera)
+    return JointState(
+        poses=tuple(poses), normal=normal, distance_m=state.distance_m + plane[:, 2], camera=camera, bow=bow
+    )
 
 
 def joint_information(data: JointData, state: JointState) -> Float64[Array, "shared shared"]:
-    """Matrix N of Eq. (1): information on the planes' parameters (three for each laser), then the camera's.
+    """Matrix N of Eq. (1): on the planes' parameters (three for each laser), those of bends, then the camera's.
 
-    The camera's prior is not included.
+    Priors are not included.
     """
     return _sum_of_information(_without_poses(data, state))
 
@@ -241,15 +279,19 @@ def _robust_rows(data: JointData, state: JointState, index: int) -> Float64[Arra
 def corner_rows(data: JointData, state: JointState, index: int) -> Float64[Array, "row column"]:
     """Whitened rows [P, S, r] of a view's corners."""
     corners = view_equations(data.views[index].board, state.poses[index], state.camera, float(data.corner_px[index]))
-    no_planes = np.zeros((len(corners.residual), _PLANE * data.lasers))
+    no_planes = np.zeros((len(corners.residual), data.sheets))
     return np.column_stack([corners.wrt_pose, no_planes, corners.wrt_camera, corners.residual])
 
 
 def stripe_rows(data: JointData, index: int, laser: int, stripe: StripeResiduals) -> Float64[Array, "row column"]:
     """Whitened rows [P, S, r] of one laser's stripe centres."""
     wrt_planes = np.zeros((len(stripe.residual_px), data.lasers, _PLANE))
-    wrt_planes[:, laser] = stripe.wrt_plane
-    columns = [-stripe.wrt_pose, -wrt_planes.reshape(len(wrt_planes), -1), -stripe.wrt_camera, stripe.residual_px]
+    wrt_planes[:, laser] = stripe.wrt_plane[:, :_PLANE]
+    wrt_bows = np.zeros((len(stripe.residual_px), len(data.bent), _BOW))
+    if laser in data.bent:
+        wrt_bows[:, data.bent.index(laser)] = stripe.wrt_plane[:, _PLANE:]
+    wrt_sheets = [each.reshape(len(each), -1) for each in (wrt_planes, wrt_bows) if each.size]
+    columns = [-stripe.wrt_pose, *(-each for each in wrt_sheets), -stripe.wrt_camera, stripe.residual_px]
     return np.column_stack(columns) / data.center_px[index][laser]
 
 
@@ -262,7 +304,16 @@ def stripes_of(data: JointData, state: JointState, index: int) -> list[tuple[int
     if data.free_camera:
         every = tuple(stripe_rays(px, state.camera) for px in data.views[index].stripes_px)
     return [
-        (laser, stripe_residuals(own, state.poses[index], state.normal[laser], distance_m))
+        (
+            laser,
+            stripe_residuals(
+                own,
+                state.poses[index],
+                state.normal[laser],
+                distance_m,
+                None if state.bends is None else state.bends.of(laser),
+            ),
+        )
         for laser, (own, distance_m) in enumerate(zip(every, state.distance_m.tolist(), strict=True))
         if len(own.ray)
     ]

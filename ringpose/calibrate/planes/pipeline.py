@@ -1,10 +1,11 @@
 """From shots of a board with stripes to assessed light planes, by each method (method(7), section 6)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import nan
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -27,11 +28,12 @@ from ringpose.calibrate.planes.stripes.labels import laser_names, laser_order, l
 from ringpose.detect.stripes import ghost_of_rig
 from ringpose.errors import DataError, UsageError
 from ringpose.geometry.board import LAYOUTS
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import Board, BoardPose, BoardView
 from ringpose.types.calibration import LaserCalibration, LaserView, PlanesCalibration, StripeView, Verdict
 from ringpose.types.image import Shot
 from ringpose.types.options import PlanesMethod
-from ringpose.types.rig import Camera, LaserBow, LaserGhost, LaserPlanes, ParameterCovariance
+from ringpose.types.rig import BOW_PARAMETERS, Camera, LaserBow, LaserGhost, LaserPlanes, ParameterCovariance
 
 _SIGMA_ROUNDS = 5
 """Maximum number of re-estimations of the corners' standard deviations."""
@@ -161,6 +163,8 @@ class PlaneSolution(NamedTuple):
     excess: float = 1.0
     disagreement: tuple[float, ...] | None = None
     sheet_height_m: tuple[float, float] | None = None
+    bows: Mapping[int, LaserBow] = MappingProxyType({})
+    """Bends of light planes, by laser."""
 
 
 def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesModel) -> PlanesCalibration:
@@ -176,7 +180,7 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         names=model.names,
         normal=np.stack([laser.normal for laser in lasers]),
         distance_m=np.array([laser.distance_m for laser in lasers]),
-        projector_m=np.full((len(lasers), 3), np.nan),
+        projector_m=np.stack([_projector_m(plane, solution) for plane in solution.planes]),
     )
     return PlanesCalibration(
         camera=solution.camera,
@@ -189,7 +193,7 @@ def calibrate_planes(views: Sequence[StripeView], camera: Camera, model: PlanesM
         contradicting=tuple(contradicting),
         excess=solution.excess,
         ghosts=_ghosts(views, model.names),
-        bows=_bows(evidence, solution, camera),
+        bows={model.names[laser]: bow for laser, bow in solution.bows.items()},
         sheet_height_m=solution.sheet_height_m,
     )
 
@@ -214,19 +218,28 @@ def _ghosts(views: Sequence[StripeView], names: Sequence[str]) -> dict[str, Lase
     return {name: ghost for name, ghost in seen.items() if ghost is not None}
 
 
-def _bows(evidence: StripeEvidence, solution: PlaneSolution, camera: Camera) -> dict[str, LaserBow]:
-    """By the laser's name, the bends of light planes that the views show; `camera`: the given one, with covariance."""
-    known = replace(solution.camera, covariance=camera.covariance)
-    bows: dict[str, LaserBow] = {}
-    for laser, name in enumerate(evidence.names):
+def _bows(
+    evidence: StripeEvidence, planes: Sequence[plane_fit.FittedPlane], poses: Sequence[BoardPose], camera: Camera
+) -> dict[int, LaserBow]:
+    """The bends of light planes that the views show, by laser, about the camera's centre."""
+    known = replace(camera, covariance=evidence.camera.covariance)
+    bows: dict[int, LaserBow] = {}
+    for laser, plane in enumerate(planes):
         stripes = [
             (view.stripes_px[laser], pose)
-            for view, pose in zip(evidence.views, solution.poses, strict=True)
+            for view, pose in zip(evidence.views, poses, strict=True)
             if len(view.stripes_px[laser])
         ]
-        bow = plane_fit.fitted_bow(stripes, solution.planes[laser], known)
-        bows |= {} if bow is None else {name: bow}
+        bow = plane_fit.fitted_bow(stripes, plane, known)
+        bows |= {} if bow is None else {laser: bow}
     return bows
+
+
+def _projector_m(plane: plane_fit.FittedPlane, solution: PlaneSolution) -> Float64[Array, "xyz=3"]:
+    """The projector of a bent plane, on the plane, if it was estimated with the bend; else NaN."""
+    if plane.bend is None or solution.covariance is None:
+        return np.full(3, np.nan)
+    return plane.bend.projector_m + plane.distance_m * plane.normal
 
 
 def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> LaserCalibration:
@@ -248,8 +261,8 @@ def _laser(laser: int, evidence: StripeEvidence, solution: PlaneSolution) -> Las
             LaserView(
                 name=view.board.name,
                 points=points,
-                residual_m=points @ plane.normal - plane.distance_m,
-                held_out_m=unknown if other is None else by_corners[index] @ other.normal - other.distance_m,
+                residual_m=plane.off_m(points),
+                held_out_m=unknown if other is None else other.off_m(by_corners[index]),
             )
         )
     return LaserCalibration(
@@ -266,15 +279,24 @@ def separate_solution(evidence: StripeEvidence, method: PlanesMethod) -> PlaneSo
     """The plane of each laser fitted separately, with board poses from the corners alone."""
     points = [evidence.points(laser) for laser in range(len(evidence.names))]
     views = range(len(evidence.views))
+    planes = [plane_fit.fitted_plane(name, own, method) for name, own in zip(evidence.names, points, strict=True)]
+    bows = _bows(evidence, planes, evidence.poses, evidence.camera)
+    lowered = list(points)
+    for laser, bow in bows.items():
+        bent = planes[laser]._replace(bend=plane_fit.bend_about_camera(planes[laser], bow.per_rad))
+        lowered[laser] = [plane_fit.on_plane(own, bent) for own in points[laser]]
+        planes[laser] = plane_fit.fitted_plane(evidence.names[laser], lowered[laser], method)._replace(bend=bent.bend)
     return PlaneSolution(
-        planes=tuple(
-            plane_fit.fitted_plane(name, own, method) for name, own in zip(evidence.names, points, strict=True)
-        ),
+        planes=tuple(planes),
         poses=evidence.poses,
         camera=evidence.camera,
         corner_points=points,
-        held_out=[[plane_fit.plane_without(own, view, method) for view in views] for own in points],
+        held_out=[
+            [plane_fit.plane_without(own, view, method, plane.bend) for view in views]
+            for own, plane in zip(lowered, planes, strict=True)
+        ],
         sheet_height_m=(nan, nan) if evidence.any_beside_print else None,
+        bows=bows,
     )
 
 
@@ -287,6 +309,9 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
     ]
     try:
         data, state = weighted_fit(evidence, start, free_camera)
+        shown = _bows(evidence, _planes_of(state, start), state.poses, state.camera)
+        if shown:
+            data, state = weighted_fit(evidence, _planes_of(state, start), free_camera, shown)
         information, fixed = joint_adjustment.joint_information(data, state), data
         if free_camera:  # from here on the camera is held fixed, with the stripes triangulated by it
             fixed = data.with_camera(state.camera)
@@ -294,20 +319,23 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
             refined = replace(evidence, camera=fixed.camera, poses=poses)
             points = [refined.points(laser) for laser in range(len(evidence.names))]
         excess = variance_excess(fixed, state)
-        planes = zip(state.normal, state.distance_m.tolist(), start, strict=True)
+        covariance = planes_covariance(evidence.names, information, data, excess)
+        sd = covariance.standard_deviations
         return PlaneSolution(
-            planes=tuple(
-                plane_fit.FittedPlane(*plane_fit.oriented(normal, distance), old.condition)
-                for normal, distance, old in planes
-            ),
+            planes=tuple(_planes_of(state, start)),
             poses=state.poses,
             camera=state.camera,
             corner_points=points,
             held_out=_held_out(points, fixed, state),
-            covariance=planes_covariance(evidence.names, information, evidence.camera, excess, free_camera),
+            covariance=covariance,
             excess=excess,
             disagreement=laser_disagreements(fixed, state),
             sheet_height_m=sheet_height_m(fixed, state, excess) if evidence.any_beside_print else None,
+            bows={
+                laser: LaserBow(per_rad=bow, sd_per_rad=sd[f"{evidence.names[laser]}.bow"])
+                for laser, bow in enumerate([] if state.bow is None else state.bow[:, 0].tolist())
+                if laser in shown
+            },
         )
     except np.linalg.LinAlgError as error:
         finding = "corners and stripes contradict one another so far that no boards and planes fit them"
@@ -316,20 +344,45 @@ def joint_solution(evidence: StripeEvidence, free_camera: bool) -> PlaneSolution
         ) from error
 
 
+def _planes_of(
+    state: joint_adjustment.JointState, start: Sequence[plane_fit.FittedPlane]
+) -> list[plane_fit.FittedPlane]:
+    """The planes of a joint adjustment, with the condition of those that it started from; none has a bend of zero."""
+    bends = state.bends
+    return [
+        plane_fit.FittedPlane(
+            *plane_fit.oriented(normal, distance_m),
+            plane.condition,
+            None if bends is None or not bends.per_rad[laser] else bends.of(laser),
+        )
+        for laser, (normal, distance_m, plane) in enumerate(
+            zip(state.normal, state.distance_m.tolist(), start, strict=True)
+        )
+    ]
+
+
 def weighted_fit(
-    evidence: StripeEvidence, start: Sequence[plane_fit.FittedPlane], free_camera: bool
+    evidence: StripeEvidence,
+    start: Sequence[plane_fit.FittedPlane],
+    free_camera: bool,
+    bows: Mapping[int, LaserBow] = MappingProxyType({}),
 ) -> tuple[joint_adjustment.JointData, joint_adjustment.JointState]:
     """Data and result of the joint adjustment, repeated with corner standard deviations estimated from its residuals.
 
+    The bends of the lasers in `bows` are estimated, too, from a start about the camera's centre.
     Outlying corners displace the board poses at the start of the adjustment, but not those of its robust result.
     """
     corner_px = corner_sigmas_px(evidence.views, evidence.poses, evidence.camera)
     data = joint_adjustment.joint_data(evidence.views, evidence.camera, corner_px, free_camera)
+    data = replace(data, bent=tuple(bows))
+    bow = np.zeros((len(start), len(BOW_PARAMETERS)))
+    bow[list(bows), 0] = [each.per_rad for each in bows.values()]
     state = joint_adjustment.JointState(
         poses=tuple(evidence.poses),
         normal=np.stack([plane.normal for plane in start]),
         distance_m=np.array([plane.distance_m for plane in start]),
         camera=evidence.camera,
+        bow=bow if bows else None,
     )
     state = joint_adjustment.joint_fit(data, state)
     for _ in range(_SIGMA_ROUNDS):
@@ -360,11 +413,14 @@ def _held_out(
             rest = rest.without_laser(laser)
         poses = state.poses[:view] + state.poses[view + 1 :]
         others = joint_adjustment.joint_fit(rest, replace(state, poses=poses))
+        bends = others.bends
         planes = zip(others.normal, others.distance_m.tolist(), determined, strict=True)
         by_view.append(
             [
-                plane_fit.FittedPlane(normal, distance_m, np.nan) if known else None
-                for normal, distance_m, known in planes
+                plane_fit.FittedPlane(normal, distance_m, np.nan, None if bends is None else bends.of(laser))
+                if known
+                else None
+                for laser, (normal, distance_m, known) in enumerate(planes)
             ]
         )
     return list(zip(*by_view, strict=True))

@@ -15,7 +15,8 @@ from ringpose.calibrate.planes.stripes.errors import (
 )
 from ringpose.errors import DataError
 from ringpose.geometry.least_squares import robust_std
-from ringpose.geometry.rays import intersect, nearest_plane, sheet_bend_m
+from ringpose.geometry.rays import intersect, nearest_plane
+from ringpose.geometry.sheets import Bends, bends
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.options import PlanesMethod
@@ -48,6 +49,13 @@ class FittedPlane(NamedTuple):
     normal: Float64[Array, "xyz=3"]
     distance_m: float
     condition: float
+    bend: Bends | None = None
+    """How the sheet of light is bent over the plane; None if it is flat."""
+
+    def off_m(self, points: Float64[Array, "n xyz=3"]) -> Float64[Array, "n"]:
+        """Distances of points from the sheet of light, along the plane's normal."""
+        off_m: Float64[Array, "n"] = points @ self.normal - self.distance_m
+        return off_m if self.bend is None else off_m - self.bend.height_m(points)
 
 
 def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> FittedPlane:
@@ -64,7 +72,7 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
         finding = f"the points of {lying} on one line (condition {plane.condition:.0f}), which determines no plane"
         remedy = f"add a view of the board 50 mm or more nearer or farther than {every[:, 2].mean():.2f} m"
         raise DataError(location, finding, remedy)
-    rms_m = rms(every @ plane.normal - plane.distance_m)
+    rms_m = rms(plane.off_m(every))
     extent_m = float(np.sqrt(np.mean(np.sum((every - every.mean(axis=0)) ** 2, axis=1))))
     if rms_m > MAX_SCATTER * extent_m:
         finding = f"the points of its {seen} views lie on no common plane (rms {1e3 * rms_m:.1f} mm)"
@@ -73,11 +81,14 @@ def fitted_plane(name: str, points: Sequence[Points], method: PlanesMethod) -> F
     return plane
 
 
-def plane_without(points: Sequence[Points], left_out: int, method: PlanesMethod) -> FittedPlane | None:
-    """The plane through the points of the other views; None if those do not determine one."""
+def plane_without(
+    points: Sequence[Points], left_out: int, method: PlanesMethod, bend: Bends | None
+) -> FittedPlane | None:
+    """The plane through the points of the other views, with that bend; None if those do not determine one."""
     if not determined_without(points, left_out):
         return None
-    return light_plane(np.concatenate([own for index, own in enumerate(points) if index != left_out]), method)
+    others = np.concatenate([own for index, own in enumerate(points) if index != left_out])
+    return light_plane(others, method)._replace(bend=bend)
 
 
 def determined_without(points: Sequence[Points], left_out: int) -> bool:
@@ -208,7 +219,17 @@ def fitted_bow(
 def _bend_m(
     points_px: Float64[Array, "n xy=2"], pose: BoardPose, plane: FittedPlane, camera: Camera
 ) -> Float64[Array, "n"]:
-    """Distance from the plane of a sheet of bow 1, where rays of pixels meet a board."""
+    """Distance from the plane of a sheet of bow 1 about the camera, where rays of pixels meet a board."""
     board = pose.rotation[:, 2]
     point = intersect(stripe_rays(points_px, camera).ray, board, np.array(float(board @ pose.translation_m)))
-    return sheet_bend_m(point, plane.normal)
+    return bend_about_camera(plane, 1.0).height_m(point)
+
+
+def bend_about_camera(plane: FittedPlane, per_rad: float) -> Bends:
+    """A bend over a plane whose projector counts as the camera's centre."""
+    return bends(plane.normal[None], np.array([per_rad]), np.zeros((1, 3))).of(0)
+
+
+def on_plane(points: Points, plane: FittedPlane) -> Points:
+    """Points of a bent sheet, lowered onto its plane; those of a flat one as they are."""
+    return points if plane.bend is None else points - plane.bend.height_m(points)[:, None] * plane.normal

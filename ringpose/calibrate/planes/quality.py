@@ -142,7 +142,7 @@ def planes_summary(assessment: PlanesAssessment) -> list[str]:
     for name, bow in assessment.calibration.bows.items():
         lines.append(
             f"{name}: its light plane is bent, by {bow.per_rad:.5f} ± {bow.sd_per_rad:.5f} rad one radian beside its "
-            "middle: exchange the laser, or keep to the middle of its line"
+            "middle; stripes are measured with this bend"
         )
     for angle in plane_angles(assessment.calibration):
         sd = f" ± {np.degrees(angle['sd_rad']):.4f}" if np.isfinite(angle["sd_rad"]) else ""

@@ -73,10 +73,17 @@ typedef struct {
     double normal_matrix[6], right_side[3], square; /* of the weighted plane equations: upper triangle, sums */
 } Candidate;
 
+/* How a sheet of light is bent over its plane, Eq. (6.1). */
+typedef struct {
+    double ratio; /* bow over the plane's distance, 1/m/rad */
+    double projector[3], axis[3], aside[3];
+} Bend;
+
 typedef struct {
     int lasers;
     uint32_t unlabelled;      /* mask of the lasers that unlabelled segments may belong to */
     const double (*plane)[3]; /* m / d of each light plane: 1/z = (m / d) . (x, y, 1) */
+    const Bend *bend;         /* of each sheet of light; NULL if all are flat */
     const UnionParams *unions;
     const CandidateParams *candidates;
     const RingParams *ring;
@@ -191,10 +198,32 @@ static int in_view(double x, double y, const RingParams *ring) {
     return !(x < ring->left_x || x > ring->right_x || y < ring->top_y || y > ring->bottom_y);
 }
 
-/* True if all ends, on that light plane, are within the depth range; fills in the inverse depths, 1/z = light . (x, y, 1). */
-static int possible(const double light[3], const CandidateParams *params, Candidate *candidate) {
+enum { BEND_STEPS = 6 }; /* corrections of a plane by its bend, as in geometry/sheets */
+
+/* 1/z where a ray (x, y, 1) meets the sheet of a laser: (m / d) . (x, y, 1) on its plane. */
+static double inverse_depth(const Scene *scene, int laser, double x, double y) {
+    const double *light = scene->plane[laser];
+    const double flat = light[0] * x + light[1] * y + light[2];
+    if (scene->bend == NULL || !(flat > 0)) return flat;
+    const Bend *bend = &scene->bend[laser];
+    double w = flat;
+    for (int step = 0; step < BEND_STEPS; step++) {
+        double along = 0, aside = 0, point[3] = {x / w, y / w, 1 / w};
+        for (int k = 0; k < 3; k++) {
+            along += bend->axis[k] * (point[k] - bend->projector[k]);
+            aside += bend->aside[k] * (point[k] - bend->projector[k]);
+        }
+        double angle = atan2(aside, along);
+        w = flat / (1 + bend->ratio * hypot(along, aside) * angle * angle);
+    }
+    return w;
+}
+
+/* True if all ends, on the sheet of the laser, are within the depth range; fills in the inverse depths. */
+static int possible(const Scene *scene, Candidate *candidate) {
+    const CandidateParams *params = scene->candidates;
     for (int e = 0; e < candidate->ends; e++) {
-        double w = light[0] * candidate->x[e] + light[1] * candidate->y[e] + light[2];
+        double w = inverse_depth(scene, candidate->laser, candidate->x[e], candidate->y[e]);
         if (!(w > 1 / params->max_depth_m && w < 1 / params->min_depth_m)) return 0;
         candidate->inverse_depth[e] = w;
     }
@@ -207,9 +236,8 @@ static int may_be_other_laser(const Segment *segment, const Candidate *candidate
     double x = (candidate->x[0] + candidate->x[1]) / 2, y = (candidate->y[0] + candidate->y[1]) / 2;
     double nearest = 1 / scene->candidates->max_depth_m, own = (candidate->inverse_depth[0] + candidate->inverse_depth[1]) / 2;
     for (int laser = 0; segment->laser < 0 && laser < scene->lasers; laser++) {
-        const double *light = scene->plane[laser];
-        double inverse_depth = light[0] * x + light[1] * y + light[2];
-        if (laser != candidate->laser && scene->unlabelled >> laser & 1 && inverse_depth > nearest && inverse_depth < own) return 1;
+        double other = inverse_depth(scene, laser, x, y);
+        if (laser != candidate->laser && scene->unlabelled >> laser & 1 && other > nearest && other < own) return 1;
     }
     return 0;
 }
@@ -260,7 +288,7 @@ static int ranks(const Candidate *candidate, const Candidate *own, int count, in
    the segment reaches from the edge of that surface, or of its shadow, to the foot of a wall below that edge, which has the
    same lateral position. */
 static int hidden_beyond(const Segment *segment, int side, const Segment *other, double min_rows, const Scene *scene,
-                         const double light[3]) {
+                         int laser) {
     const RingParams *ring = scene->ring;
     double adjacent = scene->candidates->adjacent_px, sign = side ? 1 : -1;
     double end = side ? segment->x_end : segment->x_start, near = side ? other->x_start : other->x_end;
@@ -269,8 +297,8 @@ static int hidden_beyond(const Segment *segment, int side, const Segment *other,
     if (!(fabs(end - near) < other->x_end - other->x_start)) return 0;
     double at[2] = {line_y(segment, near), line_y(other, near)};
     for (int i = 0; i < 2; i++)
-        depth[i] = 1 / (light[0] * (near - ring->principal_x) / ring->focal_x +
-                        light[1] * (at[i] - ring->principal_y) / ring->focal_y + light[2]);
+        depth[i] = 1 / inverse_depth(scene, laser, (near - ring->principal_x) / ring->focal_x,
+                                     (at[i] - ring->principal_y) / ring->focal_y);
     if (!(depth[1] > 0 && depth[1] < depth[0] && fabs(at[1] - at[0]) > min_rows)) return 0;
     double foot = ring->principal_x + (near - ring->principal_x) * depth[1] / depth[0];
     return end > fmin(near, foot) - adjacent && end < fmax(near, foot) + adjacent;
@@ -286,8 +314,8 @@ static double judge_ends(const Segment *all, size_t pieces, const Scene *scene, 
         if (candidate->x[e] < scene->ring->left_x || candidate->x[e] > scene->ring->right_x)
             cut++; /* not above or below, where the stripe leaves the image along its whole length */
         for (size_t i = 0; candidate->own[e] && !(segment->laser < 0 && candidate->may_be_hidden) && i < pieces; i++)
-            if (all[i].laser == segment->laser && hidden_beyond(segment, e % 2, &all[i], params->adjacent_px, scene,
-                                                                scene->plane[candidate->laser])) {
+            if (all[i].laser == segment->laser &&
+                hidden_beyond(segment, e % 2, &all[i], params->adjacent_px, scene, candidate->laser)) {
                 candidate->may_be_hidden |= segment->laser < 0;
                 if (segment->laser < 0) continue;
                 candidate->own[e] = 0;
@@ -311,7 +339,7 @@ static int find_candidates(const Segment *segment, size_t count, size_t unions, 
             Candidate candidate = {.segment = {(int32_t)i, -1}, .laser = laser, .ends = 2, .edge = {0, 1}};
             if (!is_of(&segment[i], laser, scene)) continue;
             place(segment, scene->ring, &candidate);
-            if (!possible(scene->plane[laser], scene->candidates, &candidate)) continue;
+            if (!possible(scene, &candidate)) continue;
             rate(&segment[i], i >= count - unions, scene, &candidate);
             if (!ranks(&candidate, all + found, own, (int)scene->candidates->max_candidates)) continue; /* nor less a penalty */
             candidate.merit -= judge_ends(segment, count - unions, scene, &candidate);
@@ -358,13 +386,13 @@ static double plane_cost(const Candidate *const member[], int size, double plane
 /* True if light of that laser, in a frame that shows no other one, is seen in a column and leaves a plane there to the group:
    on what stands on it, or through a gap. A nearer stripe as long as those of the group may be the face. */
 static int is_seen_elsewhere(int laser, double x, const double plane[3], double min_columns, const Scene *scene) {
-    const double *light = scene->plane[laser], column = x * scene->ring->focal_x + scene->ring->principal_x;
+    const double column = x * scene->ring->focal_x + scene->ring->principal_x;
     int seen = 0, may_be_face = 0;
     for (size_t i = 0; i < scene->segments; i++) {
         const Segment *segment = &scene->segment[i];
         if (segment->laser != laser || segment->x_start > column || segment->x_end < column) continue;
         double y = (line_y(segment, column) - scene->ring->principal_y) / scene->ring->focal_y;
-        double nearer = (light[0] - plane[0]) * x + (light[1] - plane[1]) * y + light[2] - plane[2];
+        double nearer = inverse_depth(scene, laser, x, y) - (plane[0] * x + plane[1] * y + plane[2]);
         seen = 1;
         may_be_face |= nearer > 0 && segment->x_end - segment->x_start >= min_columns;
     }
@@ -632,7 +660,7 @@ static double chord_score(const Candidate *const member[], int size, const Scene
 /* Fills in places, ends and merit of a chord; 0 if it is not possible. */
 static int judge_chord(const Segment *all, size_t pieces, const Segment *united, int unions, const Scene *scene, Candidate *chord) {
     place(all, scene->ring, chord);
-    if (!possible(scene->plane[chord->laser], scene->candidates, chord)) return 0;
+    if (!possible(scene, chord)) return 0;
     double penalty = judge_ends(all, pieces, scene, chord);
     rate(united, unions, scene, chord);
     chord->merit -= penalty;
@@ -824,7 +852,7 @@ static int covered_ends(const Segment *all, const Candidate *candidate, const Be
         for (size_t i = 0; in_view(own->x[e], own->y[e], scene->ring) && i < scene->segments; i++)
             if (is_of(&all[i], own->laser, scene) && !is_among((int32_t)i, best, candidate, size) &&
                 !meet_at(e ? segment->x_end : segment->x_start, segment, &all[i], scene->unions) &&
-                hidden_beyond(segment, e, &all[i], 0, scene, scene->plane[own->laser]))
+                hidden_beyond(segment, e, &all[i], 0, scene, own->laser))
                 covered |= 1 << e;
     return covered;
 }
@@ -886,7 +914,8 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
     (void)module;
     static const Parameter parameter[] = {{"segments", FLOAT64, {ANY, NUMBERS(Segment)}},
                                           {"unlabelled", WHOLE, {0, INT32_MAX}},
-                                          {"planes", FLOAT64, {ANY, 3}},
+                                          {"planes", FLOAT64, {N, 3}},
+                                          {"?bends", FLOAT64, {N, NUMBERS(Bend)}},
                                           {"unions", &UnionParams_record, {0}},
                                           {"candidates", &CandidateParams_record, {0}},
                                           {"ring", &RingParams_record, {0}}};
@@ -896,9 +925,10 @@ PyObject *call_faces(PyObject *module, PyObject *tuple) {
     const Scene scene = {(int)lasers,
                          (unsigned)a.number[1][0].whole,
                          (const double(*)[3])a.view[2].buf,
-                         (const UnionParams *)a.number[3],
-                         (const CandidateParams *)a.number[4],
-                         (const RingParams *)a.number[5],
+                         a.view[3].obj ? a.view[3].buf : NULL,
+                         (const UnionParams *)a.number[4],
+                         (const CandidateParams *)a.number[5],
+                         (const RingParams *)a.number[6],
                          a.view[0].buf,
                          (size_t)segments};
     if (!require(lasers <= MAX_LASERS && segments <= INT32_MAX / 2, "planes, segments: there are too many") ||

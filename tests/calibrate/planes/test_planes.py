@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibrated import chi_squared
-from known_views import TRUE_CAMERA, plane_errors, stripe_views, true_poses
+from known_views import PROJECTOR_M, TRUE_CAMERA, plane_errors, stripe_views, true_poses
+from scipy.stats import chi2
 
 from ringpose.calibrate.camera.parameters import camera_with, parameters_of
 from ringpose.calibrate.planes.pipeline import PlanesModel, calibrate_planes
 from ringpose.calibrate.planes.plane_fit import paper_plane, robust_plane
 from ringpose.errors import DataError
 from ringpose.types.options import PlanesMethod
-from ringpose.types.rig import ParameterCovariance, camera_parameters
+from ringpose.types.rig import ParameterCovariance, bow_parameters, camera_parameters, laser_parameters
 
 NAMES = ("left", "middle", "right")
 MODEL = PlanesModel(names=NAMES)
@@ -30,17 +31,54 @@ def test_exact_views_give_the_exact_planes(model, number, rng):
     assert max(laser.rms_m for laser in found.lasers) < 1e-7
 
 
-def test_bent_light_planes_are_measured_within_their_errors_and_flat_ones_are_not_bent(rng):
+def bent_errors(found, true_per_rad):
+    """Errors of the parameters that the covariance names: planes, bows, and projectors in their planes."""
+    errors = dict(zip(laser_parameters(NAMES), plane_errors(found), strict=True))
+    for laser, name in enumerate(NAMES):
+        if name in found.bows:
+            normal = found.planes.normal[laser]
+            axis = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+            axis /= np.linalg.norm(axis)
+            off_m = PROJECTOR_M - found.planes.projector_m[laser]
+            wrong = (true_per_rad[laser] - found.bows[name].per_rad, off_m @ np.cross(normal, axis), off_m @ axis)
+            errors |= dict(zip(bow_parameters([name]), wrong, strict=True))
+    return np.array([errors[name] for name in found.covariance.parameters])
+
+
+def test_bent_light_planes_are_measured_with_their_projectors_and_flat_ones_are_not_bent(rng):
+    true, draws, chi2s = np.array([0.0114, 0.0, -0.009]), 4, []
+    for _ in range(draws):
+        views = stripe_views(true_poses(rng, 6), rng, corner_px=0.02, center_px=0.15, bow_per_rad=true)
+
+        found = calibrate_planes(views, TRUE_CAMERA, MODEL)
+
+        assert set(found.bows) == {"left", "right"}
+        errors = bent_errors(found, true)
+        chi2s.append(errors @ np.linalg.solve(found.covariance.data, errors))
+        for name, bow in found.bows.items():
+            assert bow.sd_per_rad == found.covariance.standard_deviations[f"{name}.bow"] < 0.002
+    low, high = chi2.ppf([5e-4, 1 - 5e-4], draws * len(errors))
+    assert low < np.sum(chi2s) < high
+    assert np.isnan(found.planes.projector_m[1]).all()
+    assert max(laser.rms_m for laser in found.lasers) < 1e-4
+    assert max(laser.held_out_rms_m for laser in found.lasers) < 2e-4
+    assert not calibrate_planes(views[:2], TRUE_CAMERA, MODEL).bows
+
+
+def test_without_a_joint_adjustment_bends_are_about_the_camera(rng):
     true = np.array([0.0114, 0.0, -0.004])
     views = stripe_views(true_poses(rng, 6), rng, corner_px=0.02, center_px=0.15, bow_per_rad=true)
 
-    bows = calibrate_planes(views, TRUE_CAMERA, MODEL).bows
+    found = calibrate_planes(views, TRUE_CAMERA, SEPARATE)
 
-    assert set(bows) == {"left", "right"}
-    errors = np.array([(bows[name].per_rad - true[NAMES.index(name)]) / bows[name].sd_per_rad for name in bows])
+    assert set(found.bows) == {"left", "right"}
+    errors = [(bow.per_rad - true[NAMES.index(name)]) / bow.sd_per_rad for name, bow in found.bows.items()]
     assert np.abs(errors).max() < 4.0
-    assert max(bow.sd_per_rad for bow in bows.values()) < 0.001
-    assert not calibrate_planes(views[:2], TRUE_CAMERA, MODEL).bows
+    assert np.isnan(found.planes.projector_m).all()
+    flat = calibrate_planes(
+        stripe_views(true_poses(rng, 6), rng, corner_px=0.02, center_px=0.15), TRUE_CAMERA, SEPARATE
+    )
+    assert max(laser.rms_m for laser in found.lasers) < 1.5 * max(laser.rms_m for laser in flat.lasers)
 
 
 def test_a_lens_that_may_bend_the_stripes_as_much_leaves_a_bend_open(rng):

@@ -11,9 +11,10 @@ from ringpose.calibrate.planes.joint_adjustment import JointData, JointState, jo
 from ringpose.calibrate.planes.stripes.errors import line_modes, stripe_residuals
 from ringpose.calibrate.planes.stripes.extraction import triangulated
 from ringpose.calibrate.planes.stripes.labels import labelled_by_planes
+from ringpose.geometry.sheets import bends_of
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.calibration import StripeView
-from ringpose.types.rig import Rig, laser_parameters
+from ringpose.types.rig import Rig, bow_parameters, laser_parameters
 
 SIGMAS = 3.0
 """Limit of a stripe's distance from its plane in standard deviations of rig and view, to which FLATNESS_M is added."""
@@ -82,7 +83,9 @@ def board_measurements(view: StripeView, rig: Rig) -> BoardMeasurements:
     points = [triangulated(px, pose, rig.camera) for px in view.unlabelled_px]
     view = labelled_by_planes(view, points, list(zip(normal, distance_m.tolist(), strict=True)))
     data = joint_data([view], rig.camera, corner_sigmas_px([view], [pose], rig.camera))
-    state = JointState(poses=(pose,), normal=normal, distance_m=distance_m, camera=rig.camera)
+    bent = bends_of(rig)
+    bow = None if bent is None else bent.parameters
+    state = JointState(poses=(pose,), normal=normal, distance_m=distance_m, camera=rig.camera, bow=bow)
     return BoardMeasurements(data, state, data.corner_px[0] ** 2 * unit_covariance)
 
 
@@ -139,7 +142,8 @@ def _stripe_check(stripe: int, laser: int, board: BoardMeasurements, rig: Rig) -
     if not len(points_px):
         return LaserCheck(name=name, offset_m=float("nan"), limit_m=float("nan"))
     plane = rig.lasers.normal[laser], float(rig.lasers.distance_m[laser])
-    residuals = stripe_residuals(board.data.rays[0][stripe], pose, *plane)
+    bend = None if board.state.bends is None else board.state.bends.of(laser)
+    residuals = stripe_residuals(board.data.rays[0][stripe], pose, *plane, bend)
     modes = line_modes(points_px)
     level, slope = modes
     ends = np.array([slope.min(), 0.0, slope.max()])
@@ -153,6 +157,7 @@ def _stripe_check(stripe: int, laser: int, board: BoardMeasurements, rig: Rig) -
         pose_wrt_camera = np.linalg.lstsq(corners.wrt_pose, -corners.wrt_camera)[0]
         wrt_rig = np.hstack([residuals.wrt_camera + residuals.wrt_pose @ pose_wrt_camera, residuals.wrt_plane])
         names = parameter_names(rig.camera.distortion_model) + laser_parameters([name])
+        names += () if bend is None else bow_parameters([name])
         variance += _variance(weights @ wrt_rig, rig.covariance.of(names))
     limit_m = SIGMAS * np.sqrt(variance) + FLATNESS_M
     worst = int(np.argmax(np.abs(offset_m) / limit_m))

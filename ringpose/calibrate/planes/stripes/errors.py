@@ -8,6 +8,7 @@ import numpy as np
 
 from ringpose.geometry.rays import pixels_wrt_ray_and_camera, rays
 from ringpose.geometry.rotations import rotation_vector, tilt_basis
+from ringpose.geometry.sheets import Bends
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.board import BoardPose
 from ringpose.types.rig import Camera
@@ -53,8 +54,8 @@ class StripeResiduals(NamedTuple):
     """Distance in the image from the line that the light plane draws on the board, signed as the plane's normal."""
     wrt_pose: Float64[Array, "n pose=6"]
     """Derivatives with respect to the board's rotation vector and translation."""
-    wrt_plane: Float64[Array, "n plane=3"]
-    """Derivatives with respect to the light plane's two tilts and distance."""
+    wrt_plane: Float64[Array, "n parameter"]
+    """Derivatives with respect to the light plane's two tilts and distance, then by `BOW_PARAMETERS` if it is bent."""
     wrt_camera: Float64[Array, "n parameter"]
     """Derivatives with respect to the intrinsic parameters, the pixels held constant."""
     metres_per_pixel: Float64[Array, "n"]
@@ -62,7 +63,7 @@ class StripeResiduals(NamedTuple):
 
 
 def stripe_residuals(
-    own: StripeRays, pose: BoardPose, normal: Float64[Array, "xyz=3"], distance_m: float
+    own: StripeRays, pose: BoardPose, normal: Float64[Array, "xyz=3"], distance_m: float, bend: Bends | None = None
 ) -> StripeResiduals:
     """Residuals of centres seen along rays r = (x, y, 1) on a board, from the light plane `normal . P = distance_m`.
 
@@ -70,15 +71,21 @@ def stripe_residuals(
 
         (1) P = D r / (n_b . r)
         (2) d(n . P) = q n_b . dc_b + q (c_b - P) . dn_b + D / (n_b . r) (n - q n_b) . dr
+
+    Of a bent sheet n is the normal of its tangent plane at P.
     """
     board_normal = pose.rotation[:, 2]
     denominator = own.ray @ board_normal
-    q = (own.ray @ normal) / denominator
     depth = float(board_normal @ pose.translation_m) / denominator
     points = depth[:, None] * own.ray  # Eq. (1)
+    height_m, tangent, cosine = np.zeros(len(points)), normal, own.ray @ normal
+    if bend is not None:
+        height_m, tangent = bend.height_m(points), normal - bend.gradient(points)
+        cosine = (own.ray * tangent).sum(axis=1)
+    q = cosine / denominator
 
     # The last term of Eq. (2), then by pixels: the gradient's length is the scale of the image on the light plane.
-    wrt_ray = (depth[:, None] * (normal - q[:, None] * board_normal))[:, :2]
+    wrt_ray = (depth[:, None] * (tangent - q[:, None] * board_normal))[:, :2]
     wrt_pixel = np.einsum("nr,nrp->np", wrt_ray, own.ray_wrt_pixel)
     metres_per_pixel = np.linalg.norm(wrt_pixel, axis=1)
 
@@ -87,9 +94,11 @@ def stripe_residuals(
     normal_wrt_vector = rotation_wrt_vector.reshape(3, 3, 3)[:, :, 2].T  # third column of the rotation
     wrt_pose = np.hstack([wrt_board_normal @ normal_wrt_vector, q[:, None] * board_normal])
     wrt_plane = np.hstack([points @ tilt_basis(normal).T, np.full((len(points), 1), -1.0)])
+    if bend is not None:
+        wrt_plane = np.hstack([wrt_plane, -bend.wrt_parameters(points)])
     wrt_camera = -np.einsum("ni,nip->np", wrt_pixel, own.pixel_wrt_camera)
     return StripeResiduals(
-        residual_px=(points @ normal - distance_m) / metres_per_pixel,
+        residual_px=(points @ normal - distance_m - height_m) / metres_per_pixel,
         wrt_pose=wrt_pose / metres_per_pixel[:, None],
         wrt_plane=wrt_plane / metres_per_pixel[:, None],
         wrt_camera=wrt_camera / metres_per_pixel[:, None],
