@@ -21,6 +21,8 @@ from ringpose.geometry.rays import undistorted_rays
 from ringpose.geometry.sheets import bends_of, light_planes, sheet_points
 from ringpose.kernels import _kernels
 from ringpose.kernels.lines import (
+    AFTER_END,
+    BEFORE_START,
     CENTERS,
     CLIPPED,
     LASER,
@@ -70,10 +72,6 @@ DISPLACED_M = 0.02
 ALIKE_DISPLACED_M, ALIKE = 0.04, 1.15
 """The same for a stripe parallel to the plane and of the length of those on it, and the maximum ratio of their lengths.
 With one of the selected stripes 10 px beside its place (0.5 m, lasers at 10 degrees) the third is 24 to 35 mm off."""
-
-BEFORE_NOTHING = CandidateParams()
-BEFORE_A_FACE = CandidateParams(spill_penalty=0.0)
-"""How candidates are ranked: if the step is small, the stripes of a face behind them are nearly on their lines."""
 
 MOVED_RAD = math.radians(0.6)
 """Largest turn of a light plane since the calibration that is considered, seen from the camera."""
@@ -179,12 +177,7 @@ class Faces(NamedTuple):
     chords: Chords
 
 
-def ring_face(
-    segments: Float64[Array, "segment column=12"],
-    lasers: Sequence[int],
-    rig: Rig,
-    candidates: CandidateParams = BEFORE_NOTHING,
-) -> Face | None:
+def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> Face | None:
     """The foremost face, from as many lasers as are consistent; None if no segment can be on a face.
 
     It is the one of the best score, unless there is one in front of it. `lasers` are those that an unlabelled segment
@@ -193,7 +186,7 @@ def ring_face(
     unlabelled = sum(1 << laser for laser in lasers)
     ring = _ring_params(rig.camera)
     every, best_groups, chords = ring_faces(
-        segments, unlabelled, planes_per_m(rig), ring, UnionParams(), candidates, sheet_bends(rig)
+        segments, unlabelled, planes_per_m(rig), ring, UnionParams(), CandidateParams(), sheet_bends(rig)
     )
     if chords.are_convincing and len(chords.chords) > 1:
         return _foremost(face_of_both_arcs(chords, every, rig), segments, rig)
@@ -552,12 +545,12 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Ri
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
     ends_m = _ends_m(others[which], lasers[number], rig)
     rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]
-    nearer = ring_face(rows, face.lasers, rig, BEFORE_A_FACE) if len(rows) > 1 else None
+    nearer = ring_face(_beside_face(rows, on_face), face.lasers, rig) if len(rows) > 1 else None
     if nearer is not None and len(nearer.lasers) > 1 and (nearer.is_confirmed or nearer.score > face.score):
         nearer_m, _, _, normal = _plane_of(nearer.segments, nearer.lasers, rig)
         parallel = float(np.linalg.norm(normal - plane.normal)) < PARALLEL_WITHIN
         if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):
-            return nearer
+            return _as_measured(nearer, rows)
     length_m, may_be_face = _lengths_m(ends_m), parallel_in_front(ends_m, plane.origin_m, plane.normal)
     short = length_m < MAX_TO_SHORTEST * max(plane.lengths_m)
     start, end = face.segments[number][:, [X_START, X_END]].T
@@ -566,6 +559,44 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Ri
     assigned = np.flatnonzero((others[which, LASER] != UNLABELLED) & may_be_face & short & ~on_face)
     as_long = length_m[assigned].max(initial=0.0) > MIN_LENGTH_RATIO * min(plane.lengths_m)
     return replace(face, behind=bool(as_long) or len(set(number[assigned].tolist())) > 1)
+
+
+def _beside_face(
+    nearer: Float64[Array, "segment column=12"], on_face: Float64[Array, "selected column=12"]
+) -> Float64[Array, "segment column=12"]:
+    """Segments in front of a face, without its stripe among the centres on their lines beyond their ends.
+
+    If the step is small, that stripe is nearly on the line of what is in front of it.
+    """
+    rows = nearer.copy()
+    for own in on_face:
+        for column, end, beyond in (
+            (BEFORE_START, X_START, rows[:, X_START] - own[X_START]),
+            (AFTER_END, X_END, own[X_END] - rows[:, X_END]),
+        ):
+            is_own = (rows[:, LASER] == own[LASER]) & (np.abs(_apart_px(rows, own, rows[:, end])) < SAME_STRIPE_PX)
+            rows[is_own, column] -= np.clip(beyond, 0.0, rows[:, column])[is_own]
+    return rows
+
+
+def _as_measured(face: Face, segments: Float64[Array, "segment column=12"]) -> Face:
+    """The face of segments as `_beside_face` leaves them, some merged, with all centres beyond their ends."""
+    rows = face.segments.copy()
+    for row in rows:
+        for column, end in ((BEFORE_START, X_START), (AFTER_END, X_END)):
+            same = segments[(segments[:, LASER] == row[LASER]) & (segments[:, end] == row[end])]
+            row[column] = same[np.abs(_apart_px(same, row, row[end])).argmin(), column]
+    opposite = None if face.opposite is None else _as_measured(face.opposite, segments)
+    return replace(face, segments=rows, opposite=opposite)
+
+
+def _apart_px(
+    rows: Float64[Array, "segment column=12"], row: Float64[Array, "column=12"], x: float | Float64[Array, "segment"]
+) -> Float64[Array, "segment"]:
+    """Distances of the lines of segments from that of another one."""
+    y, own_y = (each.T[MIDDLE_Y] + each.T[SLOPE] * (x - each.T[MIDDLE_X]) for each in (rows, row))
+    apart: Float64[Array, "segment"] = y - own_y
+    return apart
 
 
 def _in_front(

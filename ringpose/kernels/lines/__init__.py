@@ -57,6 +57,7 @@ LASER, CENTERS, X_START, X_END = map(SEGMENT_COLUMNS.index, ("laser", "centers",
 MIDDLE_X, MIDDLE_Y, SLOPE = map(SEGMENT_COLUMNS.index, ("middle_x", "middle_y", "slope"))
 SCATTER, CORRELATION = map(SEGMENT_COLUMNS.index, ("scatter", "correlation"))
 CLIPPED = SEGMENT_COLUMNS.index("clipped")
+BEFORE_START, AFTER_END = map(SEGMENT_COLUMNS.index, ("before_start", "after_end"))
 
 
 @kernel_record
