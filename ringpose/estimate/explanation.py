@@ -15,7 +15,7 @@ from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.hypotheses import EDGE_NUMBERS, Explanation
 from ringpose.estimate.linearization import PARAMETERS, ring_residuals
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.ring_estimate import Estimate, estimate_ring, moving_ring, precise_ring
+from ringpose.estimate.ring_estimate import Estimate, estimate_ring, precise_ring
 from ringpose.estimate.selection import Search, explained_as_named
 from ringpose.estimate.solver import PRECISE_SIGMAS, initial_guess
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives, rotation_by
@@ -52,7 +52,7 @@ def explain(
     """
     guess, search = None, Search(labelled, edges_named, for_pose=precise)
     if precise:  # the decision is the same at any time
-        measured, guess = _at_reference_time(measured, prior, judged)
+        measured, guess = _at_reference_time(measured, prior)
     if judged is not None:
         search = search._replace(start=judged)
     best = _decided(measured, prior, guess, search)
@@ -115,30 +115,27 @@ def decision(measured: Measurements, prior: Prior, *, labelled: bool, edges_name
         return None
 
 
-def _at_reference_time(
-    measured: Measurements, prior: Prior, judged: JudgedRing | None
-) -> tuple[Measurements, RingArcs | None]:
+def _at_reference_time(measured: Measurements, prior: Prior) -> tuple[Measurements, RingArcs | None]:
     """The measurements with t_0 the mean of their stamps, weighted by the information on the ring's position.
 
-    At this time pose and rates are least correlated (ringpose-method(7), section 8). The information is that at the
-    judged ring, or else at the initial guess, which is also returned: None if it was not needed or there is none.
+    At this time pose and rates are least correlated (ringpose-method(7), section 8). Also the initial guess of the
+    ring, None if it was not needed or there is none.
     """
     stamp_s, observations = measured.stamp_s, measured.observations
     first = float(stamp_s.min(initial=np.inf))
     if not 0.0 < float(stamp_s.max()) - first < np.inf:  # of a single instant, or unknown
         return measured, None
-    guess = initial_guess(measured, prior) if judged is None else None
-    arcs = guess if judged is None else moving_ring(judged, measured.reference_s).arcs
+    arcs = initial_guess(measured, prior)
     if arcs is None:
         return measured, None
     residuals = ring_residuals(arcs, observations, Prior())
     rows = residuals.jacobian[: len(stamp_s)] @ motion_derivatives(arcs, arcs, 1.0)[:, PARAMETERS : PARAMETERS + 3]
     weight = (rows * rows).sum(axis=1)
     if not 0.0 < float(weight.sum()) < np.inf:
-        return measured, guess
+        return measured, arcs
     moved = replace(measured, reference_s=first + float(weight @ (stamp_s - first) / weight.sum()))
     covered = measured.camera is None or moved.observations.view.camera is not None  # by the robot's poses
-    return (moved if covered else measured), guess
+    return (moved if covered else measured), arcs
 
 
 def _decided(measured: Measurements, prior: Prior, guess: RingArcs | None, search: Search) -> Explanation | None:

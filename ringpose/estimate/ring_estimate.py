@@ -175,7 +175,7 @@ def estimate_ring(
     solve = partial(_solved, observations)
     with np.errstate(all="ignore"):  # a diverging iteration ends in `retract_ring`
         if isinstance(start, JudgedRing):
-            estimate = solve(moving_ring(start, measured.reference_s), prior, tolerance_sigmas)
+            estimate = solve(_moving_ring(start, measured.reference_s), prior, tolerance_sigmas)
             if estimate is not None and estimate.determined:
                 return estimate
             start = None
@@ -200,7 +200,7 @@ def estimate_ring(
     return estimate
 
 
-def moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
+def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
     """The ring at the reference time."""
     arcs = RingArcs(
         origin=judged.origin_m, axes=judged.axes, curvature=judged.curvature_per_m, half_band_m=judged.half_band_m

@@ -63,17 +63,3 @@ def test_without_the_judged_ring_the_pose_is_the_same_but_solved_again(solved):
     assert solved["gauss_newton"] - solved["linearized_at"] == before + 1
     sd_m = np.sqrt(np.diag(judged.pose.covariance_center_m2))
     assert (np.abs(again.pose.center_m - judged.pose.center_m) < 1e-3 * sd_m).all()
-
-
-def test_the_judged_ring_gives_the_time_of_a_pose_without_an_initial_guess(monkeypatch):
-    rig = read_rig(RIG_B / "rig.yaml")
-    detection = detect(read_shot(RIG_B / "shots" / "B_z0500_p01_dim.npz"), rig)
-    start_s = detection.stamp_s
-    points = replace(detection.break_points, stamp_s=start_s + np.array([0.0, 0.1, 0.2]))
-    for module in (explanation, ring_estimate):
-        monkeypatch.delattr(module, "initial_guess")
-
-    line = pose_line(replace(detection, break_points=points), rig, options=USUAL)
-
-    assert line.pose is not None
-    assert start_s < line.pose_stamp_s < start_s + 0.2
