@@ -282,7 +282,7 @@ def _not_grazing(
     section = ends[..., END_COLUMNS.index("section_sigma")]
     cosine = np.sqrt(np.maximum(1.0 - crossing_sine**2, 0.0))
     grazing = 4.0 * section * cosine > (INSIDE_COLUMNS + OUTSIDE_COLUMNS) * crossing_sine
-    return np.where(grazing[..., None] & (np.arange(len(END_COLUMNS)) < 2), np.nan, ends)
+    return np.where(grazing[..., None] & np.isin(END_COLUMNS, ("x", "y")), np.nan, ends)
 
 
 # Positions of the ends, by the compiled loops of kernels/ends

@@ -205,7 +205,7 @@ def laser_advice(stripes: Stripes, rig: Rig) -> str:
         laser: float(np.percentile(stripes.peak_dn[of_stripes == laser], BRIGHT_PERCENTILE))
         for laser in np.unique(of_stripes[of_stripes != UNLABELLED]).tolist()
     }
-    if len(bright_dn) < 2:
+    if len(bright_dn) <= 1:
         return ""
     faint, bright = min(bright_dn, key=bright_dn.__getitem__), max(bright_dn, key=bright_dn.__getitem__)
     ratio = bright_dn[bright] / bright_dn[faint]

@@ -221,11 +221,11 @@ def in_sixteen_bits(
     if image.dtype == np.uint8:
         return image, 8
     if saturation_dn is None:
-        saturation_dn = full_scale_dn(image) if image.itemsize == 2 else 0
+        saturation_dn = full_scale_dn(image) if image.dtype == np.uint16 else 0
     bits = max(saturation_dn, int(image.max(initial=0))).bit_length()
-    if bits <= 8:
+    if bits <= np.iinfo(np.uint8).bits:
         return image.astype(np.uint8), 8
-    if bits <= 16:
+    if bits <= np.iinfo(np.uint16).bits:
         return image.astype(np.uint16, copy=False), bits
     return (image >> (bits - 16)).astype(np.uint16), 16
 

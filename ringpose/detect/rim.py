@@ -495,7 +495,7 @@ def _interrupted(
     wide.
     """
     standing, at_ends = np.zeros(len(segments), dtype=bool), set()
-    if len(face.lasers) < 2 or not any(covered):
+    if len(face.lasers) <= 1 or not any(covered):
         return face, standing
     plane = _plane_of(face.segments, face.lasers, rig)
     whole = int(np.argmax(plane.lengths_m))
@@ -539,7 +539,7 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Ri
     if face.opposite is not None:
         on_face = np.concatenate([on_face, face.opposite.segments])
         of_lasers = (*of_lasers, *face.opposite.lasers)
-    if len(face.lasers) < 2 or not len(others := _others(on_face, segments)):
+    if len(face.lasers) <= 1 or not len(others := _others(on_face, segments)):
         return face
     plane, lasers = _plane_of(on_face, of_lasers, rig), np.array(face.lasers)
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))

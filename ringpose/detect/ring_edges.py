@@ -152,7 +152,7 @@ def edges_lit(points: BreakPoints, shot: Shot) -> bool:
     shots without visible edges it is at most 3 / 255 of the saturation value, in 26 of 27 with edges 13 / 255.
     """
     seen = points.seen
-    if int(seen.sum(axis=0).max()) < 2:
+    if int(seen.sum(axis=0).max()) <= 1:
         return False
     position = points.position_px[seen]
     left, top = np.maximum(position.min(axis=0).astype(np.int64) - BAND_PX, 0).tolist()
@@ -329,7 +329,7 @@ def uncertainty_factor(
     covariance = stripes.start.covariance
     confirmed = covariance[CURVATURE, CURVATURE] <= OPEN_CURVATURE_PER_M**2
     of_fewer = int(np.bincount(points.edge, minlength=2).min())
-    if not confirmed and of_fewer < 2:
+    if not confirmed and of_fewer <= 1:
         return math.inf
     direction = covariance[:, CURVATURE] / math.sqrt(covariance[CURVATURE, CURVATURE])
     edges = edges_of(points, rig.camera)
@@ -482,7 +482,7 @@ def _grouped(steps: _Points) -> _Points:
 def _edges(points: _Points) -> list[Int64[Array, "m"]]:
     """Indices of the points on the inner and on the outer edge, of each edge that has at least two."""
     edges = [np.flatnonzero(points.edge_sign == sign) for sign in EDGE_SIGN]
-    return [here for here in edges if len(here) >= 2]
+    return [here for here in edges if len(here) > 1]
 
 
 def _stretches(values: Float64[Array, "n"]) -> Float64[Array, "n near"]:

@@ -333,7 +333,7 @@ def exceeds_sd(covariance: Float64[Array, "3 3"], limit: float) -> bool:
 
 def standard_deviation(covariance: Float64[Array, "n n"]) -> float:
     """Standard deviation in the direction in which it is largest."""
-    if len(covariance) == 2:
+    if covariance.shape == (2, 2):
         (first, off_diagonal), (_, second) = covariance.tolist()
         half_sum, half_difference = 0.5 * (first + second), 0.5 * (first - second)
         return math.sqrt(max(half_sum + math.hypot(half_difference, off_diagonal), 0.0))
