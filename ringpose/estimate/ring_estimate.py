@@ -213,7 +213,12 @@ def _moving_ring(judged: JudgedRing, reference_s: float) -> MovingRing:
 def _solved(
     observations: Observations, start: RingArcs | MovingRing | Estimate, prior: Prior, tolerance_sigmas: float
 ) -> Estimate | None:
-    """The ring by an iteration from `start`; None if that diverges, or is useless without weak priors."""
+    """The ring by an iteration from `start`; None if that diverges, or is useless without weak priors.
+
+    None, too, without break points on the arc at which the ring is described: it would have no place there.
+    """
+    if not len(observations.described):
+        return None
     errors = start.nuisance_step if isinstance(start, Estimate) else None
     ring = start if isinstance(start, RingArcs) else MovingRing(start.arcs, start.rates)
     hopeless = HOPELESS if prior.regularize_about is None else inf

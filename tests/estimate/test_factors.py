@@ -90,3 +90,11 @@ def test_a_stripe_without_break_points_has_no_rows_of_points(measured):
     residual, _ = none.residuals(at)
     assert (len(residual), len(none.rate(at)), len(none.wrt_ray(at))) == (0, 0, 0)
     assert [len(each) for each in none.ordinate_weights(at)] == [0, 0]
+
+
+def test_a_shot_whose_break_points_are_all_left_out_has_no_ring_whatever_the_start(measured):
+    judged = estimate_ring(measured, Prior())
+    none = measured.with_points(np.zeros(len(measured.points.x), dtype=bool))
+
+    assert estimate_ring(none, Prior()) is None
+    assert estimate_ring(none, Prior(), judged) is None
