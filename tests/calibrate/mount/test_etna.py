@@ -66,7 +66,7 @@ def test_held_out_laser_points_lie_on_one_plane_in_the_base(folder, limit_m, sha
     in_base = []
     for index, view in enumerate(laser.views):
         (own,) = [station for station in stations if station.name == view.name]
-        plane = plane_without(by_view, index, PlanesMethod.TOTAL_LEAST_SQUARES)
+        plane = plane_without(by_view, index, PlanesMethod.TOTAL_LEAST_SQUARES, None)
         base_from_camera = own.base_from_tool.after(mount)
         in_base.append(lifted(view.points, plane) @ base_from_camera.rotation.T + base_from_camera.translation_m)
 
