@@ -10,6 +10,7 @@ import numpy as np
 from ringpose.estimate.nuisance import FORM_ORDERS
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import predicted_break_points, ring_arcs
+from ringpose.geometry.sheets import BEND_STEPS
 from ringpose.kernels.render import blocked
 from ringpose.simulate.light import IlluminatedTarget, bend_m, in_fan
 from ringpose.types.arrays import Array, Bool, Float64, Int64
@@ -78,10 +79,6 @@ def ring_crossings_m(
         point_m = np.stack(at_edges, axis=1)
         distance_m = planes.distance_m + bend_m(planes, bow_per_rad, point_m).T
     return point_m
-
-
-BEND_STEPS = 6
-"""Corrections of a light plane by the bend of its sheet at the break point; each is a hundredth of the one before."""
 
 
 def _edge_centers_m(illuminated: IlluminatedTarget, ring: RingShape) -> Float64[Array, "edge=2 xyz=3"]:

@@ -8,7 +8,7 @@ beginning of the last shot.
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from math import isfinite
 from time import perf_counter
@@ -22,12 +22,11 @@ from ringpose.bench.score import FLAGS_OF_QUANTITY, Judgement, Score, estimate_o
 from ringpose.bench.study.baselines import BASELINES
 from ringpose.errors import DataError
 from ringpose.estimate.covariance import standard_deviation
-from ringpose.geometry.ring import rotation_by
 from ringpose.geometry.rotations import tilt_basis, tilted
 from ringpose.measure.stream import Measured, Setup, Stream, pose_line, track_options
 from ringpose.pose.advice import RADIUS_SD_M
 from ringpose.simulate.features import Deviations, drawn_features, run_errors
-from ringpose.simulate.motion import moved_view
+from ringpose.simulate.motion import SteadyPath, moved_view
 from ringpose.simulate.pipeline import simulated_shot
 from ringpose.simulate.placement import ring_rotation, ring_views
 from ringpose.types.arrays import Array, Float64
@@ -436,28 +435,6 @@ def _root(variance: Any) -> float | None:
 
 
 # Shots in succession: a target in steady motion, and its track
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SteadyPath:
-    """A `TargetPath` at constant velocity of the ring's centre and constant angular velocity."""
-
-    center_m: Float64[Array, "xyz=3"]
-    """Centre of the ring's face in the camera frame at time 0, as is the rotation."""
-    rotation: Float64[Array, "3 3"]
-    face_m: Float64[Array, "xyz=3"]
-    """Centre of the ring's face in the target frame."""
-    velocity_m_s: Float64[Array, "xyz=3"]
-    angular_velocity_rad_s: Float64[Array, "xyz=3"]
-
-    def camera_from_target(self, time_s: float) -> tuple[Float64[Array, "3 3"], Float64[Array, "xyz=3"]]:
-        """See `TargetPath`."""
-        rotation = rotation_by(self.angular_velocity_rad_s * time_s) @ self.rotation
-        return rotation, self.center_m + self.velocity_m_s * time_s - rotation @ self.face_m
-
-    def inertial_from_camera(self, time_s: float) -> Float64[Array, "3 3"]:
-        """See `TargetPath`; the camera does not turn."""
-        return np.eye(3)
 
 
 def with_run(scene: Scene, run: ShotRun, prior: MotionPrior | None, rng: np.random.Generator) -> Scene:
