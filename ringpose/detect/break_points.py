@@ -16,7 +16,7 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage, beside_left_out
 from ringpose.detect.rim import IN_FRONT_M, Face
 from ringpose.detect.ring_edges import straight
-from ringpose.detect.stripes import lens
+from ringpose.detect.stripes import lens, line_y_px
 from ringpose.estimate.explanation import decision
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.hypotheses import Explanation
@@ -422,7 +422,7 @@ def flagged_ends(
         flags |= np.where(edge_sigma > UNCLEAR_PX, int(BreakPointFlag.UNCLEAR), 0)
         flags = np.where(inside, flags, int(BreakPointFlag.CLIPPED))
         covariance = end_covariance_px2(along, at_ends, slope)
-    straight_y = segments[:, MIDDLE_Y] + segments[:, SLOPE] * (straight_x - segments[:, MIDDLE_X])
+    straight_y = line_y_px(segments, straight_x)
 
     def of_lasers(values: Array, fill: float = np.nan) -> Array:
         """The values, with axes (end, segment, ...), arranged by laser, with axes (laser, end, ...)."""
@@ -496,7 +496,7 @@ def beside_occluder(ends: Ends, segments: Float64[Array, "segment column=12"], r
     if not len(laser) or known.sum() < POINTS_OF_A_PLANE:
         return beside
     x = near_x[side, segment]
-    y = segments[segment, MIDDLE_Y] + segments[segment, SLOPE] * (x - segments[segment, MIDDLE_X])
+    y = line_y_px(segments[segment], x)
     pixels = np.concatenate([ends.straight_px[known], np.stack([x, y], axis=-1)])
     of = np.concatenate([np.nonzero(known)[0], laser])
     points = sheet_points(undistorted_rays(pixels, rig.camera), of, rig)

@@ -12,9 +12,9 @@ import numpy as np
 
 from ringpose.detect.difference_images import LaserImage
 from ringpose.detect.rim import planes_per_m
-from ringpose.detect.stripes import stripe_line_segments
+from ringpose.detect.stripes import line_y_px, stripe_line_segments
 from ringpose.geometry.rays import undistorted_rays
-from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, SLOPE, X_END, X_START
+from ringpose.kernels.lines import CENTERS, LASER, MIDDLE_X, MIDDLE_Y, X_END, X_START
 from ringpose.optics.feature_errors import FULL_WIDTH_SIGMAS, MIN_COLUMNS, row_offset_px_m
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import UNLABELLED, Stripes
@@ -75,6 +75,5 @@ def _largest_step_px(segments: Float64[Array, "segment column=12"]) -> float:
         own = segments[segments[:, LASER] == laser]
         for left, right in pairwise(own[np.argsort(own[:, X_START])]):
             x = 0.5 * (left[X_END] + right[X_START])
-            y = [each[MIDDLE_Y] + each[SLOPE] * (x - each[MIDDLE_X]) for each in (left, right)]
-            steps.append(abs(float(y[1] - y[0])))
+            steps.append(abs(float(line_y_px(right, x) - line_y_px(left, x))))
     return max(steps)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.stripes import SAME_STRIPE_PX, lens
+from ringpose.detect.stripes import SAME_STRIPE_PX, lens, line_y_px
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.geometry.sheets import bends_of, light_planes, sheet_points
 from ringpose.kernels import _kernels
@@ -509,7 +509,7 @@ def _interrupted(
         off_m = (ends_m - plane.origin_m) @ plane.normal
         in_front = (off_m.min(axis=1) > 0.0) & (off_m.max(axis=1) < band_m)
         if number == whole:
-            apart = np.abs(y - row[MIDDLE_Y] - row[SLOPE] * (x - row[MIDDLE_X])) > SAME_STRIPE_PX
+            apart = np.abs(y - line_y_px(row, x)) > SAME_STRIPE_PX
             if (in_front & apart & (start < row[X_END]) & (end > row[X_START])).any():
                 return face, np.zeros_like(standing)
             continue
@@ -574,7 +574,8 @@ def _beside_face(
             (BEFORE_START, X_START, rows[:, X_START] - own[X_START]),
             (AFTER_END, X_END, own[X_END] - rows[:, X_END]),
         ):
-            is_own = (rows[:, LASER] == own[LASER]) & (np.abs(_apart_px(rows, own, rows[:, end])) < SAME_STRIPE_PX)
+            apart_px = np.abs(line_y_px(rows, rows[:, end]) - line_y_px(own, rows[:, end]))
+            is_own = (rows[:, LASER] == own[LASER]) & (apart_px < SAME_STRIPE_PX)
             rows[is_own, column] -= np.clip(beyond, 0.0, rows[:, column])[is_own]
     return rows
 
@@ -585,18 +586,10 @@ def _as_measured(face: Face, segments: Float64[Array, "segment column=12"]) -> F
     for row in rows:
         for column, end in ((BEFORE_START, X_START), (AFTER_END, X_END)):
             same = segments[(segments[:, LASER] == row[LASER]) & (segments[:, end] == row[end])]
-            row[column] = same[np.abs(_apart_px(same, row, row[end])).argmin(), column]
+            apart_px = np.abs(line_y_px(same, row[end]) - line_y_px(row, row[end]))
+            row[column] = same[apart_px.argmin(), column]
     opposite = None if face.opposite is None else _as_measured(face.opposite, segments)
     return replace(face, segments=rows, opposite=opposite)
-
-
-def _apart_px(
-    rows: Float64[Array, "segment column=12"], row: Float64[Array, "column=12"], x: float | Float64[Array, "segment"]
-) -> Float64[Array, "segment"]:
-    """Distances of the lines of segments from that of another one."""
-    y, own_y = (each.T[MIDDLE_Y] + each.T[SLOPE] * (x - each.T[MIDDLE_X]) for each in (rows, row))
-    apart: Float64[Array, "segment"] = y - own_y
-    return apart
 
 
 def _in_front(

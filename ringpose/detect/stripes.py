@@ -28,7 +28,7 @@ import numpy as np
 from ringpose.detect.difference_images import LaserImage
 from ringpose.geometry.least_squares import STD_PER_MAD, robust_std
 from ringpose.kernels import _kernels, kernel_record
-from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, SegmentParams
+from ringpose.kernels.lines import MIDDLE_X, MIDDLE_Y, SEGMENT_COLUMNS, SLOPE, Lens, SegmentParams
 from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REACH_SIGMAS
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes, SubtractedGhost
@@ -225,6 +225,11 @@ def straight_segments(
     position, sigma = np.ascontiguousarray(position_px), np.ascontiguousarray(sigma_px)
     rows = _kernels.stripe_segments(position, sigma, piece, laser, lens, params)
     return np.frombuffer(rows, dtype=np.float64).reshape(-1, len(SEGMENT_COLUMNS))
+
+
+def line_y_px(segments: Float64[Array, "*segment column=12"], x_px: float | Float64[Array, "..."]) -> Array:
+    """Rows of the lines of segments at the columns `x_px`, which are one each, or all of one segment, or one of all."""
+    return np.asarray(segments[..., MIDDLE_Y] + segments[..., SLOPE] * (x_px - segments[..., MIDDLE_X]))
 
 
 @lru_cache(maxsize=4)
