@@ -178,10 +178,10 @@ def edge_chains(gradient: Gradient, lower_dn: float, shortest: int) -> Chains:
     return Chains(pixels=np.frombuffer(pixels, np.int32).reshape(-1, 2), starts=np.frombuffer(starts, np.int32))
 
 
-STEPS_PER_DN = 128
+STEPS_PER_DN = _kernels.STEPS_PER_DN
 """Units of the kernels' magnitude in one grey value per pixel: 16 of the smoothing, 8 of the Sobel weights."""
 
-MAX_STEPS = 32767
+MAX_STEPS = np.iinfo(np.int16).max
 """Upper limit, above any gradient of an 8-bit image."""
 
 

@@ -42,11 +42,8 @@ COARSE_SHARE = 0.27
 """Ratio of the mean over the 8 rows of a window to the filter response times the cube of the filter's sigma, for a
 narrow ridge: sqrt(2 pi) / 8 = 0.31, less at the least favourable position in the grid of windows."""
 
-BLOCK = 16
-"""Columns that are processed together."""
-
-CELL = 4
-"""Rows of a cell of the coarse search; a cell is one block wide."""
+BLOCK, CELL = _kernels.BLOCK, _kernels.CELL
+"""Columns that are processed together, and rows of a cell of the coarse search; a cell is one block wide."""
 
 FILTER_SIGMA_PX = 2.5
 """Smoothing along the column for detection. Stripes up to twice as wide are found, and flat-topped, saturated ones up
@@ -236,7 +233,8 @@ def line_y_px(segments: Float64[Array, "*segment column=12"], x_px: float | Floa
 def lens(camera: Camera) -> Lens:
     """Intrinsic parameters of a camera in the form that the kernels expect."""
     matrix = camera.camera_matrix.tolist()
-    coefficients = dict(zip(DISTORTION, camera.distortion_coefficients.tolist(), strict=False))
+    coefficients = dict.fromkeys(DISTORTION, 0.0)
+    coefficients |= dict(zip(DISTORTION, camera.distortion_coefficients.tolist(), strict=False))
     return Lens(fx=matrix[0][0], fy=matrix[1][1], cx=matrix[0][2], cy=matrix[1][2], **coefficients)
 
 

@@ -26,10 +26,20 @@ from ringpose.geometry.rotations import cross, tilt_basis
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import RingVelocity
 
-TILTS, OFFSET, CENTER_IN_PLANE, RADII = slice(0, 2), 2, slice(3, 5), slice(5, 7)
-
-CENTER, GRASP, CURVATURE_OUT, BAND_OUT = slice(7, 10), slice(10, 13), 13, 14
+JOINT = (
+    "tilt", "tilt", "offset", "center_in_plane", "center_in_plane", "radius", "radius",
+    *("center" for _ in "xyz"), *("grasp" for _ in "xyz"), "curvature", "band",
+)  # fmt: skip
 """Rows of the joint covariance: the seven parameters of a pose, then derived quantities."""
+
+
+def _rows_of(quantity: str) -> slice:
+    first = JOINT.index(quantity)
+    return slice(first, first + JOINT.count(quantity))
+
+
+TILTS, CENTER_IN_PLANE, RADII, CENTER, GRASP = map(_rows_of, ("tilt", "center_in_plane", "radius", "center", "grasp"))
+OFFSET, CURVATURE_OUT, BAND_OUT = map(JOINT.index, ("offset", "curvature", "band"))
 
 EDGE_ON_BELOW = 0.01
 """Sine of the smallest angle between the line of sight and the ring's plane: 0.6 degrees."""

@@ -14,7 +14,7 @@ from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.hypotheses import MIN_DEVIATION_M, WIDER_BY
 from ringpose.estimate.linearization import FixedColumns, Residuals
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import FORM_SHARE, rig_errors, rig_jacobian
+from ringpose.estimate.nuisance import form_amplitude_m, rig_errors, rig_jacobian
 from ringpose.geometry.ring import LIFT, TILT_ALONG, TILT_INWARD
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY
@@ -145,7 +145,7 @@ def _wider_priors(residuals: Residuals, prior: Prior, form: Float64[Array, "row 
     if len(residuals.rate_sds):
         yield Fault("motion", PRIOR_PROBABILITY, residuals.wrt_rates * (WIDER_BY * residuals.rate_sds))
     if form is not None:
-        yield Fault("form", PRIOR_PROBABILITY, _visible(FORM_SHARE * MIN_DEVIATION_M * form))
+        yield Fault("form", PRIOR_PROBABILITY, _visible(form_amplitude_m(MIN_DEVIATION_M) * form))
     if prior.radii is not None:
         sd_m = prior.radii.sd_m[np.isfinite(prior.radii.radius_m)]
         rows = residuals.data_rows + np.arange(len(sd_m))

@@ -47,8 +47,8 @@ class Hypothesis(NamedTuple):
 
     measured: Measurements
     prior: Prior
-    findings: Finding = NOTHING
-    penalty: float = 0.0
+    findings: Finding
+    penalty: float
     """Penalty in chi-squared."""
     rejected: tuple[Rejection, ...] = ()
     laser: int = UNLABELLED
@@ -143,7 +143,7 @@ def _wider_priors(measured: Measurements, prior: Prior) -> Iterator[Hypothesis]:
         if left_out:
             penalty = OUTLIER_PENALTY + PARAMETER_PENALTY * left_out
             yield Hypothesis(once, prior._replace(assumptions=assumptions), Finding.FRAME_DIFFERS, penalty)
-    yield with_deviation(Hypothesis(measured, prior), max(WIDER_BY * tolerance_m, MIN_DEVIATION_M))
+    yield with_deviation(Hypothesis(measured, prior, NOTHING, 0.0), max(WIDER_BY * tolerance_m, MIN_DEVIATION_M))
 
 
 def with_deviation(hypothesis: Hypothesis, deviation_m: float) -> Hypothesis:

@@ -11,7 +11,7 @@ from ringpose.estimate.covariance import Quantities
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.linearization import PARAMETERS
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import FACE_SLOPE, FORM_PARAMETERS, FORM_SHARE, rig_errors, rig_jacobian
+from ringpose.estimate.nuisance import FACE_SLOPE, FORM_PARAMETERS, form_amplitude_m, rig_errors, rig_jacobian
 from ringpose.estimate.ring_estimate import Estimate
 from ringpose.estimate.solver import RIDGE
 from ringpose.geometry.ring import public_wrt_rates
@@ -19,7 +19,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import TYPICAL_STABILITY
 from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PlaneEvidence, RingMeasurement
 
-POSE, RATES = slice(0, 7), slice(7, 12)
+POSE, RATES = slice(PARAMETERS), slice(PARAMETERS, len(MEASURED_PARAMETERS))
 """Columns of `MEASURED_PARAMETERS`."""
 
 
@@ -125,7 +125,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence 
     parameters, common = errors.parameters, [wrt_rig]
     if estimate.fixed.form is not None:
         parameters += FORM_PARAMETERS
-        common.append(FORM_SHARE * estimate.prior.assumptions.ring_tolerance_m * estimate.fixed.form)
+        common.append(form_amplitude_m(estimate.prior.assumptions.ring_tolerance_m) * estimate.fixed.form)
     rows = np.concatenate([residuals.jacobian, own, *common, -residuals.residual[:, None]], axis=1)
     eliminated = PARAMETERS + own.shape[1]
     prior = np.zeros((eliminated, rows.shape[1]))

@@ -18,6 +18,7 @@ from ringpose.estimate.factors.prior import Prior
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.ring import (
     STEP,
+    STILL,
     TILT_ALONG,
     TILT_INWARD,
     TURN,
@@ -199,16 +200,11 @@ class LinearProblem(NamedTuple):
 
 PARAMETERS = len(STEP)
 
-STILL = Rates(np.zeros(3), np.zeros(3))
-
 MIN_SIGMA_PX = 1e-4
 """Lower bound of all standard deviations: smaller ones would make the normal equations ill-conditioned."""
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
 """Bounds of the plane's distance; beyond them the iteration has diverged."""
-
-MAX_CURVATURE = 1 / RING_RADIUS_M.lowest
-"""Bound in 1/m, of the smallest ring that a file may state; beyond it the iteration has diverged."""
 
 MAX_TILT_RAD = 0.7
 """Largest tilt in one iteration."""
@@ -268,7 +264,7 @@ def retract_ring(residuals: Residuals, step: Float64[Array, "step=7"], rate_step
     step = step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step
     moved = arcs.retract(step)
     depth_m = -float(arcs.axes[2] @ moved.origin)
-    possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) < MAX_CURVATURE
+    possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) * RING_RADIUS_M.lowest < 1.0
     if not (possible and all(map(isfinite, step.tolist()))):
         raise np.linalg.LinAlgError("the iteration diverges")
     if len(rate_step):

@@ -53,9 +53,10 @@ with the angle phi from the middle of the arc that was seen."""
 FACE_SLOPE = "face.slope"
 """Angle between the face and the ring's plane, positive where the face rises outwards: a flange may be conical."""
 
-FORM_SHARE = 1.0 / sqrt(len(FORM_ORDERS))
-"""Standard deviation of each amplitude over the tolerance, so that the deviation at any angle has the tolerance as its
-own."""
+
+def form_amplitude_m(tolerance_m: float) -> float:
+    """Standard deviation of each amplitude, so that the deviation at any angle has the tolerance as its own."""
+    return tolerance_m / sqrt(len(FORM_ORDERS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -260,7 +261,7 @@ def common_errors(residuals: Residuals, prior: Prior) -> FixedColumns:
         columns.append(rig @ errors.root)
     if assumed.ring_tolerance_m > 0.0:
         form = form_jacobian(residuals)
-        columns.append(FORM_SHARE * assumed.ring_tolerance_m * form)
+        columns.append(form_amplitude_m(assumed.ring_tolerance_m) * form)
     if assumed.face_slope_rad > 0.0:
         slope = slope_jacobian(residuals)
         columns.append(assumed.face_slope_rad * slope[:, None])

@@ -9,7 +9,6 @@ import numpy as np
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.linearization import (
     PARAMETERS,
-    STILL,
     FixedColumns,
     Observations,
     Residuals,
@@ -32,7 +31,7 @@ from ringpose.estimate.solver import (
     linearized_at,
     poorly_determined,
 )
-from ringpose.geometry.ring import CURVATURE, MovingRing, Rates, RingArcs
+from ringpose.geometry.ring import CURVATURE, STILL, MovingRing, Rates, RingArcs
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import JudgedRing
 

@@ -27,7 +27,7 @@ from ringpose.estimate.hypotheses import (
     with_deviation,
 )
 from ringpose.estimate.measurements import Measurements
-from ringpose.estimate.nuisance import FORM_SHARE, form_jacobian
+from ringpose.estimate.nuisance import form_amplitude_m, form_jacobian
 from ringpose.estimate.ring_estimate import (
     DECISION_SIGMAS,
     MIN_FREEDOM,
@@ -44,7 +44,7 @@ from ringpose.estimate.stripe_evidence import evidence_with_radii, ring_evidence
 from ringpose.geometry.ring import CURVATURE, RingArcs
 from ringpose.optics.feature_errors import AGREEMENT
 from ringpose.types.detection import JudgedRing, Rejection
-from ringpose.types.finding import Finding
+from ringpose.types.finding import NOTHING, Finding
 
 CONFIRMED_BELOW = 2.0
 """Largest ratio of the curvature's sigmas without and with the other end of a stripe (`_without_unconfirmed_end`)."""
@@ -77,7 +77,7 @@ def explained_as_named(
     An explanation with a score above `max_score` is not necessarily the best one.
     """
     measured, estimate = _of_everything(measured, prior, search, guess)
-    everything = None if estimate is None else Solved(Hypothesis(measured, prior), estimate)
+    everything = None if estimate is None else Solved(Hypothesis(measured, prior, NOTHING, 0.0), estimate)
     if everything is not None and not is_suspicious(everything.estimate):
         best = _with_form(everything, search)
         return _explanation(best, everything, _single_stripes(best) if search.for_pose else [])
@@ -157,7 +157,7 @@ def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
     form = estimate.fixed.form
     if form is None:
         form = form_jacobian(residuals)
-    form = FORM_SHARE * deviation_m * form  # by amplitudes in units of s
+    form = form_amplitude_m(deviation_m) * form  # by amplitudes in units of s
     weighted = form.T * weights
     cross_information = weighted @ np.concatenate([residuals.jacobian, estimate.nuisance], axis=1)
     information = weighted @ form
@@ -264,7 +264,7 @@ def _single_stripes(solved: Solved) -> list[Solved]:
         if edges_contradict or evidence < AGREEMENT:
             rejected = (Rejection(what="stripe", laser=measured.rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
-            hypothesis = Hypothesis(alone, prior, Finding.WRONG_STRIPE, rejected=rejected, laser=laser)
+            hypothesis = Hypothesis(alone, prior, Finding.WRONG_STRIPE, 0.0, rejected, laser)
             explanations.append(Solved(hypothesis, estimate))
     return explanations
 

@@ -14,7 +14,6 @@ from ringpose.estimate.factors.points import Points
 from ringpose.estimate.factors.prior import EXPECTED_CURVATURE, EXPECTED_HALF_BAND_M, Prior
 from ringpose.estimate.linearization import (
     PARAMETERS,
-    STILL,
     FixedColumns,
     LinearProblem,
     Observations,
@@ -25,7 +24,17 @@ from ringpose.estimate.linearization import (
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import common_errors
 from ringpose.geometry.least_squares import huber_weights
-from ringpose.geometry.ring import CURVATURE, GENERATORS, TILT_ALONG, TILT_INWARD, TINY, TURN, MovingRing, RingArcs
+from ringpose.geometry.ring import (
+    CURVATURE,
+    GENERATORS,
+    STILL,
+    TILT_ALONG,
+    TILT_INWARD,
+    TINY,
+    TURN,
+    MovingRing,
+    RingArcs,
+)
 from ringpose.types.arrays import Array, Float64
 
 ALARM_SIGMAS = 3.0

@@ -394,6 +394,9 @@ class Rates(NamedTuple):
     """Angular velocity across the normal."""
 
 
+STILL = Rates(np.zeros(3), np.zeros(3))
+
+
 class MovingRing(NamedTuple):
     """A ring at one instant, and its rates."""
 

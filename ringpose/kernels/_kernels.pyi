@@ -10,6 +10,11 @@ TABLES: dict[str, dict[str, int]]
 
 MAX_CUT: int
 COLUMNS_PER_CUT: int
+BLOCK: int
+CELL: int
+STEPS_PER_DN: int
+EMPTY: int
+THIN: int
 BOX: int
 REVOLUTION: int
 RELIEF_TEXELS: int

@@ -4,6 +4,8 @@
 #include "ends/end_edges.h"
 #include "lines/stripe_segments.h"
 #include "render/target.h"
+#include "segments/segments.h"
+#include "stripes/stripe_search.h"
 
 /* The functions, and what they take and return. Each is defined beside its loops. */
 #define KERNELS(KERNEL)                                                                                             \
@@ -67,7 +69,7 @@ static PyObject *with(PyObject *module, const char *name, PyObject *object) {
 
 /* Numbers that Python needs, too. */
 #define CONSTANTS(NUMBER)                                                                                           \
-    NUMBER(MAX_CUT) NUMBER(COLUMNS_PER_CUT)                                                                         \
+    NUMBER(MAX_CUT) NUMBER(COLUMNS_PER_CUT) NUMBER(BLOCK) NUMBER(CELL) NUMBER(STEPS_PER_DN) NUMBER(EMPTY) NUMBER(THIN) \
     NUMBER(BOX) NUMBER(REVOLUTION) NUMBER(RELIEF_TEXELS) NUMBER(MAX_PARTS) NUMBER(MAX_POINTS) NUMBER(MAX_LASERS)
 #define ADD_NUMBER(name) \
     if (module) module = with(module, #name, PyLong_FromLong(name));

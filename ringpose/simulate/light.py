@@ -168,7 +168,8 @@ def _sky(light: Light) -> dict[str, float]:
     sun = light.sun_direction / np.linalg.norm(light.sun_direction)
     sky = {"sun_w_m2": light.sun_w_m2, "sun_radius_rad": light.sun_diameter_rad / 2} | _components("sun", sun)
     if light.earth is None or light.sun_w_m2 == 0.0:
-        return sky
+        nothing = {"earth_w_m2": 0.0, "earth_radius_rad": 0.0, "earth_radiance": 0.0}
+        return sky | nothing | _components("earth", np.zeros(3)) | _components("lit", np.zeros(3))
     earth = light.earth.direction / np.linalg.norm(light.earth.direction)
     return {
         **sky,

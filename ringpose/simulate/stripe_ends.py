@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.estimate.nuisance import FORM_ORDERS, FORM_SHARE, rig_errors
+from ringpose.estimate.nuisance import FORM_ORDERS, form_amplitude_m, rig_errors
 from ringpose.geometry.rays import project
 from ringpose.geometry.ring import LIFT, STEP, Rates, RingArcs, predicted_break_points, rotation_by
 from ringpose.geometry.rotations import cross, tilt_basis, tilted
@@ -43,7 +43,7 @@ def drawn_run_errors(
     The form's deviations have the standard deviation `ring_tolerance_m` at any angle (ringpose-method(7), section 12).
     """
     # the form is drawn first, and also for a tolerance of 0: the rig does not depend on the tolerance
-    scale_m = FORM_SHARE * ring_tolerance_m
+    scale_m = form_amplitude_m(ring_tolerance_m)
     form = RingForm(
         radial_m=scale_m * rng.standard_normal((2, len(FORM_ORDERS), 2)),
         axial_m=scale_m * rng.standard_normal((len(FORM_ORDERS), 2)),

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.estimate.nuisance import FORM_PARAMETERS, FORM_SHARE, covariance_root
+from ringpose.estimate.nuisance import FORM_PARAMETERS, covariance_root, form_amplitude_m
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.assumptions import RigStability
 from ringpose.types.pose import PoseLine, Priors, RingMeasurement
@@ -119,7 +119,7 @@ def _common_errors(
             continue
         if not form and what not in added and name not in calibrated.parameters:
             return name
-        covariance[index, index] += (FORM_SHARE * ring_tolerance_m if form else added.get(what, 0.0)) ** 2
+        covariance[index, index] += (form_amplitude_m(ring_tolerance_m) if form else added.get(what, 0.0)) ** 2
     for laser, moved in moved_planes.items():
         of_plane = [names.index(name) for name in laser_parameters([laser]) if name in names]
         covariance[of_plane], covariance[:, of_plane] = 0.0, 0.0

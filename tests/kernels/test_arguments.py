@@ -9,7 +9,7 @@ import pytest
 
 from ringpose.detect.break_points import EndParams
 from ringpose.detect.edge_search import PlaceParams, ProfileParams, StepParams
-from ringpose.detect.stripes import StripeParams
+from ringpose.detect.stripes import DISTORTION, StripeParams
 from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import SEGMENT_COLUMNS, CandidateParams, Lens, RingParams, SegmentParams, UnionParams
 
@@ -25,7 +25,7 @@ FAR_CORNERS = np.array([[-(2**31), 2**31 - 1], [2**31 - 1, -(2**31)]] * 3, np.in
 
 
 MASK = np.zeros((5, 9), np.bool_)
-LENS = Lens(fx=900.0, fy=900.0, cx=400.0, cy=300.0)
+LENS = Lens(fx=900.0, fy=900.0, cx=400.0, cy=300.0, **dict.fromkeys(DISTORTION, 0.0))
 PLACES = PlaceParams(image_width=100, image_height=90)
 PROFILES = ProfileParams(reach_px=2, inside_px=2, outside_px=2, saturation_dn=255)
 STRIPES = StripeParams(min_response=0.2, coarse_per_response=5.0, full_dn=255)

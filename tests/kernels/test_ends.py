@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from ringpose.detect.break_points import EndParams, LitLines, stripe_ends
+from ringpose.detect.stripes import DISTORTION
 from ringpose.kernels.lines import Lens
 
 RULES = EndParams(saturation_dn=255)
-STRAIGHT = Lens(fx=900.0, fy=900.0, cx=160.0, cy=60.0)
-BENT = Lens(fx=300.0, fy=300.0, cx=160.0, cy=60.0, k1=-0.1, k2=0.02, p1=0.001, p2=-0.001)
+STRAIGHT = Lens(fx=900.0, fy=900.0, cx=160.0, cy=60.0, **dict.fromkeys(DISTORTION, 0.0))
+BENT = replace(STRAIGHT, fx=300.0, fy=300.0, k1=-0.1, k2=0.02, p1=0.001, p2=-0.001)
 SIGMA = 3
 LINE = np.array([[150.0, 60.31, 0.02, 100.0, 200.0]])
 

@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from ringpose.detect.stripes import straight_segments
+from ringpose.detect.stripes import DISTORTION, straight_segments
 from ringpose.kernels.lines import SEGMENT_COLUMNS, Lens, SegmentParams
 
 RULES = SegmentParams(image_width=800, border_px=3.0)
-STRAIGHT = Lens(fx=900.0, fy=900.0, cx=400.0, cy=300.0)
-BENT = Lens(fx=900.0, fy=905.0, cx=400.0, cy=300.0, k1=-0.2, k2=0.1, p1=0.001, p2=-0.002, k3=0.03, k4=0.01, k5=0.002)
+STRAIGHT = Lens(fx=900.0, fy=900.0, cx=400.0, cy=300.0, **dict.fromkeys(DISTORTION, 0.0))
+BENT = replace(STRAIGHT, fy=905.0, k1=-0.2, k2=0.1, p1=0.001, p2=-0.002, k3=0.03, k4=0.01, k5=0.002)
 
 
 def line(x, y, laser=-1):

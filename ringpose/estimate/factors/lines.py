@@ -13,8 +13,6 @@ from ringpose.types.arrays import Array, Bool, Float64, Int64
 from ringpose.types.detection import BreakPoints
 from ringpose.types.rig import Camera
 
-MINUS_ONE = np.array([[-1.0]])
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LineFactor(ImageFactor):
@@ -24,7 +22,7 @@ class LineFactor(ImageFactor):
 
     def residuals(self, at: RingPrediction) -> tuple[Float64[Array, "row"], Derivatives]:
         """Eq. (5.4): the heights y - y(x) above the predicted line y(x), Eq. (5.1)."""
-        return self.y - at.stripes.rays[self.ray, 1], Derivatives(ordinate=MINUS_ONE)
+        return self.y - at.stripes.rays[self.ray, 1], Derivatives(ordinate=np.full((1, 1), -1.0))
 
     def wrt_ray(self, at: RingPrediction) -> Float64[Array, "row xy=2"]:
         """The predicted line is taken at the measured abscissa."""

@@ -14,7 +14,7 @@ from ringpose.types.arrays import Array, Bool, Float32, Float64, Int32, Int64, U
 BOX, REVOLUTION = _kernels.BOX, _kernels.REVOLUTION
 """Kinds of parts."""
 
-NONE = -1
+NONE = _kernels.EMPTY
 """No surface, no form, no relief."""
 
 TEXELS = _kernels.RELIEF_TEXELS
@@ -60,16 +60,16 @@ class SceneLight:
     sun_y: float
     sun_z: float
     sun_radius_rad: float
-    earth_w_m2: float = 0.0
-    earth_x: float = 0.0
-    earth_y: float = 0.0
-    earth_z: float = 0.0
-    earth_radius_rad: float = 0.0
-    lit_x: float = 0.0
-    lit_y: float = 0.0
-    lit_z: float = 0.0
+    earth_w_m2: float
+    earth_x: float
+    earth_y: float
+    earth_z: float
+    earth_radius_rad: float
+    lit_x: float
+    lit_y: float
+    lit_z: float
     """The middle of the Earth's lit part."""
-    earth_radiance: float = 0.0
+    earth_radiance: float
     """Where the sun is in the zenith, W/(m2 sr)."""
     power_w: float
     sigma_m: float
@@ -109,10 +109,11 @@ class PixelImage(NamedTuple):
     code: Int32[Array, "pixel"]
     """Equal for two pixels that show the same surface in the same light (see `Code of a pixel` in render.c)."""
     stripe: UInt8[Array, "pixel"]
-    """Bits `WIDE` and `THIN` near a stripe that is wider or thinner than about a pixel."""
+    """Not 0 near a stripe; the bit `THIN` near one that is thinner than about a pixel."""
 
 
-WIDE, THIN = 1, 2
+THIN = _kernels.THIN
+"""Bit of a pixel near a stripe that is thinner than about a pixel."""
 
 
 def render(

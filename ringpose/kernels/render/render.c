@@ -26,8 +26,6 @@ static const double MIN_DISTANCE_M = 1e-9;
 /* Code of a pixel: surface + 1 in the upper half, then what else changes at edges; laser k has bit k. */
 enum { SUN_SHADOW = 1 << 8, EARTH_SHADOW = 1 << 9, SECOND = 1 << 10, SKY_EARTH = 1 << 11, SKY_SUN = 1 << 12 };
 
-enum { WIDE = 1, THIN = 2 };
-
 /* Surfaces in a pixel whose light is averaged one by one; the others share the last entry. */
 enum { ENTRIES = 6 };
 
@@ -109,22 +107,22 @@ static void place(const Scene *scene, Stand *stand, const double pose[12]) {
 
 /* The rays of a block of neighbouring pixels, one sample of each. */
 typedef struct {
-    int64_t pixel[BLOCK];
-    double middle_x[BLOCK], middle_y[BLOCK]; /* ray (x, y, 1) through the middle of each pixel in the camera frame */
-    double per_px[2][2][BLOCK];              /* its derivatives along the row and the column */
-    double x[BLOCK], y[BLOCK];               /* ray of the sample */
-    double turn[BLOCK], other[BLOCK];        /* shifts of the samples of each pixel */
-    int32_t time[BLOCK], sun[BLOCK], earth[BLOCK]; /* of the sample: time, and places on the discs of sun and Earth */
+    int64_t pixel[BATCH];
+    double middle_x[BATCH], middle_y[BATCH]; /* ray (x, y, 1) through the middle of each pixel in the camera frame */
+    double per_px[2][2][BATCH];              /* its derivatives along the row and the column */
+    double x[BATCH], y[BATCH];               /* ray of the sample */
+    double turn[BATCH], other[BATCH];        /* shifts of the samples of each pixel */
+    int32_t time[BATCH], sun[BATCH], earth[BATCH]; /* of the sample: time, and places on the discs of sun and Earth */
     Rays rays;
     Hits hits;
-    float nx[BLOCK], ny[BLOCK], nz[BLOCK]; /* normals of the hits, rounded */
-    float ex[BLOCK], ey[BLOCK], ez[BLOCK]; /* unit vectors to the eye */
-    double depth[BLOCK], cx[BLOCK], cy[BLOCK], footprint[BLOCK]; /* of the hits; rays in the camera frame; per pixel */
-    uint32_t code[BLOCK];
-    uint8_t stripe[BLOCK];
-    int32_t row[BLOCK], column[BLOCK], entry[BLOCK];                        /* entry: of the ray's surface */
-    int32_t surface[ENTRIES][BLOCK], count[ENTRIES][BLOCK], shaded[ENTRIES][BLOCK]; /* of each pixel */
-    double sum[ENTRIES][1 + MAX_LASERS][BLOCK];                             /* radiance of the shaded samples, by source */
+    float nx[BATCH], ny[BATCH], nz[BATCH]; /* normals of the hits, rounded */
+    float ex[BATCH], ey[BATCH], ez[BATCH]; /* unit vectors to the eye */
+    double depth[BATCH], cx[BATCH], cy[BATCH], footprint[BATCH]; /* of the hits; rays in the camera frame; per pixel */
+    uint32_t code[BATCH];
+    uint8_t stripe[BATCH];
+    int32_t row[BATCH], column[BATCH], entry[BATCH];                        /* entry: of the ray's surface */
+    int32_t surface[ENTRIES][BATCH], count[ENTRIES][BATCH], shaded[ENTRIES][BATCH]; /* of each pixel */
+    double sum[ENTRIES][1 + MAX_LASERS][BATCH];                             /* radiance of the shaded samples, by source */
     uint32_t sources;                                                       /* that some ray shows, as bits */
 } Block;
 
@@ -135,9 +133,9 @@ static inline void add(Block *block, int source, int ray, double radiance) {
 
 /* Light that falls on the hits of a block from a point or a distant source. */
 typedef struct {
-    uint8_t on[BLOCK], shadowed[BLOCK]; /* on: hits that are within the light */
-    double x[BLOCK], y[BLOCK], z[BLOCK]; /* unit vectors towards the light */
-    double reach[BLOCK];                 /* and its distance */
+    uint8_t on[BATCH], shadowed[BATCH]; /* on: hits that are within the light */
+    double x[BATCH], y[BATCH], z[BATCH]; /* unit vectors towards the light */
+    double reach[BATCH];                 /* and its distance */
 } Beam;
 
 /* Parts that may cast a shadow on the hits that are `on`: those near the bundle from their bounding sphere
@@ -171,7 +169,7 @@ static void may_shade(const Scene *scene, const Hits *hits, const uint8_t *on, V
 /* Finds which hits within a beam are in the shadow of one of the chosen parts. */
 static void find_shadows(const Scene *scene, const Hits *hits, const Choice *choice, Beam *beam) {
     Rays rays;
-    int32_t hit[BLOCK];
+    int32_t hit[BATCH];
     memset(beam->shadowed, 0, sizeof beam->shadowed);
     rays.count = 0;
     for (int i = 0; i < hits->count; i++) {
@@ -209,7 +207,7 @@ VECTOR_LOOP static void add_laboratory(const Scene *restrict scene, const Block 
     const Hits *hits = &block->hits;
     const Stand *stand = scene->stand + scene->times / 2;
     const float irradiance = (float)(scene->light.ambient_w_m2 / PI);
-    float mx[BLOCK], my[BLOCK], mz[BLOCK], matt[BLOCK], glossy[BLOCK], walls = 1;
+    float mx[BATCH], my[BATCH], mz[BATCH], matt[BATCH], glossy[BATCH], walls = 1;
     for (int k = 0; k < LAMPS; k++) walls -= (float)scene->lamp[k].share;
     for (int i = 0; i < count; i++) { /* the directions that the eye sees mirrored */
         const float nx = block->nx[i], ny = block->ny[i], nz = block->nz[i];
@@ -285,8 +283,8 @@ static void find_disc(const Scene *scene, const Block *block, int is_sun, double
 static void add_ambient(const Scene *scene, Block *block) {
     const SceneLight *light = &scene->light;
     const Hits *hits = &block->hits;
-    float radiance[BLOCK] = {0}, reflected[BLOCK];
-    uint8_t sunlit[BLOCK] = {0};
+    float radiance[BATCH] = {0}, reflected[BATCH];
+    uint8_t sunlit[BATCH] = {0};
     Beam beam;
     if (light->ambient_w_m2 > 0) add_laboratory(scene, block, radiance);
     if (light->sun_w_m2 > 0) {
@@ -310,8 +308,8 @@ static void add_ambient(const Scene *scene, Block *block) {
 }
 
 /* Distances of the hits from a sheet of light, and its thickness there, in the camera frame. */
-VECTOR_LOOP static void find_sheet(const Scene *scene, const Laser *laser, const Block *block, double off[BLOCK],
-                                   double sigma[BLOCK], double range[BLOCK]) {
+VECTOR_LOOP static void find_sheet(const Scene *scene, const Laser *laser, const Block *block, double off[BATCH],
+                                   double sigma[BATCH], double range[BATCH]) {
     const double least2 = scene->light.sigma_m * scene->light.sigma_m, divergence = scene->light.divergence_rad;
     const Vector normal = laser->normal, projector = laser->projector;
     for (int i = 0; i < block->hits.count; i++) {
@@ -334,8 +332,8 @@ static void add_laser(const Scene *scene, int number, Block *block) {
     const SceneLight *light = &scene->light;
     const Laser *laser = scene->laser + number;
     const Hits *hits = &block->hits;
-    double off[BLOCK], sigma[BLOCK], range[BLOCK];
-    float reflected[BLOCK];
+    double off[BATCH], sigma[BATCH], range[BATCH];
+    float reflected[BATCH];
     double reach = 0;
     Vector towards = {0, 0, 0};
     Beam beam;
@@ -399,9 +397,9 @@ VECTOR_LOOP static uint32_t find_stripes(const Scene *restrict scene, const Bloc
     const int count = rays->count;
     const double slope = MAX_SIGMAS * scene->light.divergence_rad + scene->bend, per_px = scene->light.angle_per_px;
     const double least = MAX_SIGMAS * scene->light.sigma_m + slope * scene->baseline + scene->relief;
-    double limit[BLOCK];
+    double limit[BATCH];
     uint32_t lasers = 0;
-    memset(wanted, 0, BLOCK);
+    memset(wanted, 0, BATCH);
     for (int i = 0; i < count; i++) {
         const double x = block->x[i], y = block->y[i];
         limit[i] = least + rays->best[i] * (slope * sqrt(x * x + y * y + 1) + per_px);
@@ -424,9 +422,9 @@ VECTOR_LOOP static uint32_t find_stripes(const Scene *restrict scene, const Bloc
 
 /* Counts the samples of each surface in each pixel, and chooses those that are shaded: the first, and then one in
    `step`. */
-static void choose_shaded(Block *block, int step, uint8_t chosen[BLOCK]) {
+static void choose_shaded(Block *block, int step, uint8_t chosen[BATCH]) {
     if (step == 1) { /* all of them, into one entry */
-        memset(chosen, 1, BLOCK);
+        memset(chosen, 1, BATCH);
         memset(block->entry, 0, sizeof block->entry);
         for (int i = 0; i < block->rays.count; i++) block->count[0][i] = 1;
         return;
@@ -463,8 +461,8 @@ VECTOR_LOOP static void find_views(double angle_per_px, double size, Block *rest
 static void shade(const Scene *scene, double size, int step, Block *block) {
     const Rays *rays = &block->rays;
     Hits *hits = &block->hits;
-    uint8_t near[BLOCK], wanted[BLOCK];
-    double width[BLOCK];
+    uint8_t near[BATCH], wanted[BATCH];
+    double width[BATCH];
     const uint32_t lasers = find_stripes(scene, block, near);
     for (int i = 0; i < rays->count; i++) {
         block->stripe[i] = 0;
@@ -632,7 +630,7 @@ static void end_block(const Scene *scene, const Block *block, int samples, int s
 static int next_pixels(const PixelRays *rays, const int64_t *chosen, size_t count, size_t *next, Block *block) {
     const uint32_t width = (uint32_t)rays->width;
     int entries = 0;
-    for (; *next < count && entries < BLOCK; ++*next, ++entries) {
+    for (; *next < count && entries < BATCH; ++*next, ++entries) {
         const uint32_t at = chosen ? (uint32_t)chosen[*next] : (uint32_t)*next;
         block->pixel[entries] = at;
         block->row[entries] = (int32_t)(at / width);
@@ -788,8 +786,8 @@ PyObject *call_hits(PyObject *module, PyObject *tuple) {
     Hits hits;
     Choice all = {.length = INFINITY};
     for (int i = 0; i < target.parts; i++) choose(&all, i, 0);
-    for (size_t start = 0; start < n; start += BLOCK) {
-        rays.count = (int)(n - start < BLOCK ? n - start : BLOCK);
+    for (size_t start = 0; start < n; start += BATCH) {
+        rays.count = (int)(n - start < BATCH ? n - start : BATCH);
         for (int i = 0; i < rays.count; i++) {
             const size_t at = start + (size_t)i;
             const Vector to = {direction[at], direction[n + at], direction[2 * n + at]};

@@ -27,7 +27,7 @@ static int interval(const double *line, int count, double x) {
 static float mixed(double first, double second, double share) { return (float)(first + share * (second - first)); }
 
 /* Coatings of one material with a pattern. */
-static void find_patterned(const Target *target, const Material *material, const double width[BLOCK], int first, int last,
+static void find_patterned(const Target *target, const Material *material, const double width[BATCH], int first, int last,
                            Hits *hits) {
     for (int i = first; i < last; i++) {
         const Coating *coating = &material->coating;
@@ -48,7 +48,7 @@ static void find_patterned(const Target *target, const Material *material, const
     }
 }
 
-void find_coatings(const Target *target, const double width[BLOCK], Hits *hits) {
+void find_coatings(const Target *target, const double width[BATCH], Hits *hits) {
     for (int first = 0, last; first < hits->count; first = last) {
         const Material *material = target->material + target->material_of[hits->surface[first]];
         const Coating *coating = &material->coating;

@@ -51,8 +51,8 @@ double bundle_enters(const Part *part, const Bundle *bundle) {
 /* Rays in the frame of a part; `ray` is the number of each in the rays of the target. */
 typedef struct {
     int count;
-    int32_t ray[BLOCK];
-    double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK], least[BLOCK], best[BLOCK], face[BLOCK];
+    int32_t ray[BATCH];
+    double ox[BATCH], oy[BATCH], oz[BATCH], dx[BATCH], dy[BATCH], dz[BATCH], least[BATCH], best[BATCH], face[BATCH];
 } Near;
 
 VECTOR_LOOP static void copy_rays(const Part *restrict part, const Rays *restrict rays, Near *restrict near) {
@@ -166,7 +166,7 @@ static void accept(const Target *target, const Part *part, const double *paramet
 }
 
 static void hit_profile(const Target *target, const Part *part, const double (*point)[2], Near *near) {
-    double one[BLOCK], other[BLOCK];
+    double one[BATCH], other[BATCH];
     for (int piece = 0; piece + 1 < (int)part->points; piece++) {
         const double *first = point[piece], *second = point[piece + 1];
         if (first[1] == second[1]) {
@@ -258,7 +258,7 @@ VECTOR_LOOP static void find_passing(const Part *part, const Near *restrict near
 
 static void hit_revolution(const Target *target, const Part *part, Near *near) {
     const double(*point)[2] = target->point + (int)part->first_point;
-    int32_t passes[BLOCK];
+    int32_t passes[BATCH];
     find_passing(part, near, passes);
     int count = 0;
     for (int i = 0; i < near->count; i++) {
@@ -469,7 +469,7 @@ VECTOR_LOOP static void copy_hits(const Rays *restrict rays, int first, Hits *re
 }
 
 void complete_hits(const Target *target, const Rays *rays, const uint8_t *wanted, Hits *hits) {
-    uint8_t rest[BLOCK];
+    uint8_t rest[BATCH];
     hits->count = 0;
     for (int i = 0; i < rays->count; i++) rest[i] = rays->part[i] != EMPTY && (!wanted || wanted[i]);
     for (int i = 0; i < rays->count; i++) {

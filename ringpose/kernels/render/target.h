@@ -12,7 +12,8 @@
 
 enum { BOX, REVOLUTION };
 enum { EMPTY = -1 };
-enum { FORM_ORDERS = 3, FIRST_ORDER = 2, RELIEF_TEXELS = 512, MAX_POINTS = 64, MAX_PARTS = 128, MAX_LASERS = 8, BLOCK = 64 };
+enum { WIDE = 1, THIN = 2 }; /* bits of a pixel near a stripe */
+enum { FORM_ORDERS = 3, FIRST_ORDER = 2, RELIEF_TEXELS = 512, MAX_POINTS = 64, MAX_PARTS = 128, MAX_LASERS = 8, BATCH = 64 };
 
 /* Minimum roughness: a smoother surface would reflect a projector as a point. */
 #define MIN_ROUGHNESS 0.02f
@@ -78,12 +79,12 @@ typedef struct {
 /* Rays in the target frame, in arrays, so that loops over them become vector instructions. */
 typedef struct {
     int count;
-    double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK];
-    double least[BLOCK]; /* smallest parameter of an intersection that counts */
-    double best[BLOCK];  /* largest one that counts; then that of the nearest intersection */
-    double face[BLOCK];
-    int32_t part[BLOCK]; /* with the nearest intersection, or EMPTY */
-    int32_t own[BLOCK];  /* convex part that the ray leaves, or EMPTY */
+    double ox[BATCH], oy[BATCH], oz[BATCH], dx[BATCH], dy[BATCH], dz[BATCH];
+    double least[BATCH]; /* smallest parameter of an intersection that counts */
+    double best[BATCH];  /* largest one that counts; then that of the nearest intersection */
+    double face[BATCH];
+    int32_t part[BATCH]; /* with the nearest intersection, or EMPTY */
+    int32_t own[BATCH];  /* convex part that the ray leaves, or EMPTY */
 } Rays;
 
 /* Some of the parts, by the distance at which rays can meet them first; no ray's direction is longer than `length`. */
@@ -102,16 +103,16 @@ typedef struct {
 /* Where rays hit surfaces, sorted by surface. */
 typedef struct {
     int count;
-    int32_t ray[BLOCK + 1]; /* its number in the rays; one more is written */
-    double ox[BLOCK], oy[BLOCK], oz[BLOCK], dx[BLOCK], dy[BLOCK], dz[BLOCK]; /* the ray */
-    double best[BLOCK];                                                      /* where it meets the flat surface */
-    int32_t part[BLOCK], surface[BLOCK], second[BLOCK]; /* second: where the print has the second coating */
-    double parameter[BLOCK];                            /* on the relief */
-    double x[BLOCK], y[BLOCK], z[BLOCK], u[BLOCK], v[BLOCK]; /* point, and its place on the face of a box */
-    double below[BLOCK];                                     /* depth under the surface without its relief */
-    double nx[BLOCK], ny[BLOCK], nz[BLOCK];                  /* normal towards the viewer */
-    double fx[BLOCK], fy[BLOCK], fz[BLOCK];                  /* normal without the relief */
-    float diffuse[BLOCK], specular[BLOCK], roughness[BLOCK];
+    int32_t ray[BATCH + 1]; /* its number in the rays; one more is written */
+    double ox[BATCH], oy[BATCH], oz[BATCH], dx[BATCH], dy[BATCH], dz[BATCH]; /* the ray */
+    double best[BATCH];                                                      /* where it meets the flat surface */
+    int32_t part[BATCH], surface[BATCH], second[BATCH]; /* second: where the print has the second coating */
+    double parameter[BATCH];                            /* on the relief */
+    double x[BATCH], y[BATCH], z[BATCH], u[BATCH], v[BATCH]; /* point, and its place on the face of a box */
+    double below[BATCH];                                     /* depth under the surface without its relief */
+    double nx[BATCH], ny[BATCH], nz[BATCH];                  /* normal towards the viewer */
+    double fx[BATCH], fy[BATCH], fz[BATCH];                  /* normal without the relief */
+    float diffuse[BATCH], specular[BATCH], roughness[BATCH];
 } Hits;
 
 /* As fmin, fmax and floor for numbers that are no NaN, without a call. */
@@ -152,7 +153,7 @@ void intersect(const Target *target, const Choice *choice, Rays *rays);
 void complete_hits(const Target *target, const Rays *rays, const uint8_t *wanted, Hits *hits);
 
 /* The coatings at the hits, averaged over squares of the given widths. */
-void find_coatings(const Target *target, const double width[BLOCK], Hits *hits);
+void find_coatings(const Target *target, const double width[BATCH], Hits *hits);
 
 /* A coating's BRDF for the sine squared and the cosine of the angle between its normal and the bisector of light and
    eye, and the cosines of the angles of the light with its normal, of the eye with its normal and with the bisector.
