@@ -150,7 +150,8 @@ def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
     Chi-squared of single rows, and the mean square of the edges, hardly show a wave along the whole edge. The score of
     the amplitudes is u = F^T W r ~ N(0, M) if the form is as assumed, with M the information on them after elimination
     of ring and common errors. For amplitudes with variance s^2 the test is u^T (1 / s^2 + M)^-1 u, a sum of squares
-    with the weights w = s^2 m / (1 + s^2 m), m the eigenvalues of M, and so nearly a multiple of chi-squared.
+    whose weights are the eigenvalues of W = (1 / s^2 + M)^-1 M, and so nearly a multiple of chi-squared: with the
+    expectation tr W and twice tr W^2 as variance.
     """
     estimate = solved.estimate
     residuals, weights = estimate.residuals, estimate.weights
@@ -162,15 +163,15 @@ def _contradicts_form(solved: Solved, deviation_m: float) -> bool:
     cross_information = weighted @ np.concatenate([residuals.jacobian, estimate.nuisance], axis=1)
     information = weighted @ form
     information -= cross_information @ np.linalg.solve(estimate.joint_information, cross_information.T)
-    size, axes = np.linalg.eigh(information)
-    size = np.maximum(size, 0.0)
-    weight = size / (1.0 + size)
-    total = float(weight.sum())
+    score = weighted @ estimate.remaining
+    of_both = np.concatenate([information, score[:, None]], axis=1)
+    columns = np.linalg.solve(np.eye(len(score)) + information, of_both)
+    weight, standardized = columns[:, :-1], columns[:, -1]  # W, (1 / s^2 + M)^-1 u
+    total = float(weight.trace())
     if total < MIN_FREEDOM:
         return False
-    scores = axes.T @ (weighted @ estimate.remaining)
-    scale = float(weight @ weight) / total
-    return float((scores**2 / (1.0 + size)).sum()) > scale * chi2_quantile(total / scale, ALARM_SIGMAS)
+    scale = float((weight * weight.T).sum()) / total
+    return float(score @ standardized) > scale * chi2_quantile(total / scale, ALARM_SIGMAS)
 
 
 def _solved(hypothesis: Hypothesis, everything: Solved | None, tolerance_sigmas: float) -> Solved | None:

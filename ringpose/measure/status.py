@@ -365,7 +365,8 @@ def seen_lasers(
     """
     used = np.zeros((len(rig.lasers.names), 2), dtype=bool)
     used[best.measured.points.laser, best.measured.points.edge] = True
-    has_line = np.isin(np.arange(len(used)), best.measured.lines.laser)
+    has_line = np.zeros(len(used), dtype=bool)
+    has_line[best.measured.lines.laser] = True
     on = np.ones(len(used), dtype=bool) if lasers_on is None else lasers_on
     on = on | used.any(axis=1) | has_line
     if bool(used[on].all()):  # what is out of view need not be predicted

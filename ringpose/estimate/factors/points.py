@@ -152,6 +152,8 @@ def points_of(
     covariance_px2[~has_covariance] = NOMINAL_SIGMA_PX**2 * np.eye(2)
     covariance_px2 = covariance_px2 + MIN_SIGMA_PX**2 * np.eye(2)
     covariance = wrt_pixel @ covariance_px2 @ wrt_pixel.swapaxes(1, 2)
+    has_line = np.zeros(len(break_points.flags), dtype=bool)
+    has_line[lines.laser] = True
     points = Points(
         laser=laser,
         edge=edge,
@@ -160,7 +162,7 @@ def points_of(
         covariance=covariance,
         sigma_x=np.sqrt(covariance[:, 0, 0]),
         middle_x=_middles(laser, xy[:, 0], lines),
-        isolated=~np.isin(laser, lines.laser),
+        isolated=~has_line[laser],
         stamp_s=stamps_of(break_points)[laser],
         beside_occluder=break_points.flags[laser, edge] & int(BreakPointFlag.BESIDE_OCCLUDER) != 0,
         wrt_camera=wrt_camera,
