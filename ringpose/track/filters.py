@@ -67,6 +67,9 @@ MIN_INTERVAL_S = 1e-3
 LOST = -1e6
 """Log likelihood of a measurement for a filter whose ring misses the place where one was seen."""
 
+SAME_WITHIN = 1e-9
+"""Relative difference, by rounding, up to which two roots of covariances are the same."""
+
 _PLACE_SD = 1.0
 """Standard deviation in metres and radians of the place of a ring before it is measured."""
 
@@ -301,13 +304,20 @@ def predict(bank: Bank, stamp_s: float) -> Bank:
 
 
 def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
-    """The bank for a measurement whose common errors have another prior, as after a correction of the rig.
+    """The bank for a measurement whose common errors have another prior.
 
-    The effect of the previous common errors on the states then counts as an error that is independent of the new ones.
+    Errors that only are larger or smaller than was assumed, as those of the ring's form, have changed the states as
+    they are: B holds for any size. After a correction of the rig, the effect of the previous common errors on the states
+    counts as an error that is independent of the new ones.
     """
-    root = observed.common_root
-    if bank.common_root is root or np.array_equal(bank.common_root, root):
+    root, before = observed.common_root, bank.common_root
+    if before is root or np.array_equal(before, root):
         return bank
+    if before.shape == root.shape:
+        factor = np.linalg.norm(root, axis=0) / np.linalg.norm(before, axis=0)
+        if np.allclose(before * factor, root, rtol=SAME_WITHIN, atol=0.0):  # not if one is NaN: an error from none
+            of_mount = np.ones(bank.common.shape[2] - len(factor))
+            return replace(bank, common=bank.common * np.append(factor, of_mount), common_root=root)
     common = np.zeros((*bank.common.shape[:2], observed.wrt_common.shape[1]))
     return replace(bank, own=bank.covariance, common=common, common_root=root)
 

@@ -33,7 +33,7 @@ from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import MEASURED_PARAMETERS, LinearizationPoint, PoseFlag, PoseLine, RingMeasurement
 from ringpose.types.rig import MOUNT_PARAMETERS
 
-_BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
+BROAD = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 0.3, 0.3, 0.3, 0.3, 1.0, 1.0])
 """Standard deviations that stand for no knowledge of the twelve parameters."""
 
 _OPPOSITE = np.array([-1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0])
@@ -190,8 +190,8 @@ def _place_seen(measurement: RingMeasurement) -> Float64[Array, "xyz=3"]:
     nearly the same along the arc, so that the place of the least variance may be beside the stripes.
     """
     at, count = measurement.linearized_at, len(MEASURED_PARAMETERS)
-    rows = measurement.square_root[:, :count] * _BROAD
-    covariance = np.linalg.inv(rows.T @ rows + np.eye(count)) * _BROAD * _BROAD[:, None]
+    rows = measurement.square_root[:, :count] * BROAD
+    covariance = np.linalg.inv(rows.T @ rows + np.eye(count)) * BROAD * BROAD[:, None]
     basis, offset_m = tilt_basis(at.normal), float(at.normal @ at.center_m)
     radius_m = 0.5 * (at.radius_inner_m + at.radius_outer_m)
     outward = np.stack([np.cos(_PLACES_RAD), np.sin(_PLACES_RAD)])

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.estimate.nuisance import FORM_PARAMETERS
 from ringpose.geometry.camera_motion import MAX_RATE_RAD_S, MAX_SPEED_M_S, CameraMotion
 from ringpose.measure.status import LASTING_FLAGS
 from ringpose.track.common_errors import CommonErrors, common_errors
 from ringpose.track.explanations import Fusion, Track, TrackOptions, track_after
+from ringpose.track.form_evidence import FormEvidence
 from ringpose.track.lines import track_line
 from ringpose.track.observation import Observation, observation
 from ringpose.track.protection import ShotLevels, shot_levels
@@ -82,8 +82,7 @@ class Tracker:
         """The motion of the camera, which may be replaced by one with further poses; None if it is not known."""
         self._hash = rig.sha256 if rig is not None else ""
         self._common: CommonErrors | None = None
-        self._form_tolerance_m: float | None = None
-        """The largest tolerance of the ring that a record assumed; None before one with amplitudes of its form."""
+        self._form = FormEvidence()
         self._base = Track()
         self._base_stamp_s = -float("inf")
         self._base_flags = PoseFlag(0)
@@ -209,11 +208,15 @@ class Tracker:
         camera = None if self.camera is None else self.camera.at(stamp_s)
         if self.camera is not None and camera is None:
             return Fusion(FusionStatus.REJECTED_COVARIANCE, reason=self.camera.why_not_at(stamp_s))
+        form = self._form.with_shot(line, measurement, common, inflation)
+        common, measurement = form.judged(measurement, common)
         observed = observation(line, measurement, common, inflation, camera)
         radius = None if line.priors is None else line.priors.radius
         levels = shot_levels(line, "camera" if self.camera is None else "base")
         entry = _Entry(observed, radius, line.flags, levels, self._base, Fusion(FusionStatus.NONE))
         status, ratio, _ = self._inserted(entry)
+        if status is FusionStatus.FUSED:
+            self._form = form
         if status is FusionStatus.FUSED and stamp_s < newest_s:
             status = FusionStatus.FUSED_LATE
         self._forget()
@@ -254,33 +257,28 @@ class Tracker:
     def _checked_common(self, line: PoseLine) -> CommonErrors:
         assert line.measurement is not None
         mount = None if self.camera is None else self.camera.mount
-        common = common_errors(line, line.measurement, self._rig, mount, self._form_tolerance_m)
+        with_form = self._common is not None and self._common.with_form
+        common = common_errors(line, line.measurement, self._rig, mount, with_form=with_form)
         if self._common is None or not _alike(self._common, common):
-            if self._common is not None and _without_form(common) != _without_form(self._common):
+            if self._common is not None and common.without_form[0] != self._common.without_form[0]:
                 finding = "has other nuisance parameters than the records before"
                 raise DataError(line.shot, finding, "give ringpose pose the same options for all of them")
             self._common = common
-        if common.with_form:
-            # a record with the flag `ring_form` assumes a larger tolerance than the others, or one at all
-            tolerance_m = 0.0 if line.priors is None else line.priors.assumptions.ring_tolerance_m
-            self._form_tolerance_m = max(tolerance_m, self._form_tolerance_m or 0.0)
         return self._common
-
-
-def _without_form(common: CommonErrors) -> tuple[str, ...]:
-    return tuple(name for name in common.names if name not in FORM_PARAMETERS)
 
 
 def _alike(first: CommonErrors, second: CommonErrors) -> bool:
     """Whether two priors are of the same errors: a covariance that is estimated again in each shot differs a little.
 
-    Taken as different, the errors of successive shots would count as independent and average out.
+    Taken as different, the errors of successive shots would count as independent and average out. The tolerance of the
+    ring is judged by itself.
     """
     if first.names != second.names:
         return False
-    covariance = first.root @ first.root.T
+    (_, one), (_, other) = first.without_form, second.without_form
+    covariance = one @ one.T
     sd = np.sqrt(covariance.diagonal())
-    return bool((np.abs(second.root @ second.root.T - covariance) <= SAME_PRIOR_WITHIN * np.outer(sd, sd)).all())
+    return bool((np.abs(other @ other.T - covariance) <= SAME_PRIOR_WITHIN * np.outer(sd, sd)).all())
 
 
 def _is_plausible(measurement: RingMeasurement) -> bool:
