@@ -370,17 +370,6 @@ def test_records_with_and_without_the_form_of_the_ring_belong_to_one_track(recor
     np.testing.assert_allclose(final_state(tracker), final_state(alone), rtol=1e-9, atol=1e-12)
 
 
-def test_the_largest_tolerance_of_the_ring_holds_for_all_records_that_follow(records):
-    lines = [out_of_round(line, tolerance_m) for line, tolerance_m in zip(records, (1e-4, 2e-3, 1e-4), strict=False)]
-    tracker, roots = Tracker(None), []
-    for line in lines:
-        tracker.add(line, NOW_S)
-        roots.append(tracker.track.likeliest.common_root)
-
-    np.testing.assert_allclose(roots[1], 20.0 * roots[0])
-    np.testing.assert_array_equal(roots[2], roots[1])
-
-
 @pytest.mark.parametrize(
     ("bad", "word"),
     [
