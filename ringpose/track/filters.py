@@ -307,8 +307,8 @@ def _with_common_errors_of(bank: Bank, observed: Observation) -> Bank:
     """The bank for a measurement whose common errors have another prior.
 
     Errors that only are larger or smaller than was assumed, as those of the ring's form, have changed the states as
-    they are: B holds for any size. After a correction of the rig, the effect of the previous common errors on the states
-    counts as an error that is independent of the new ones.
+    they are: B holds for any size. After a correction of the rig, the effect of the previous common errors on the
+    states counts as an error that is independent of the new ones.
     """
     root, before = observed.common_root, bank.common_root
     if before is root or np.array_equal(before, root):

@@ -88,7 +88,7 @@ class FormEvidence:
 def _without_ring(
     measurement: RingMeasurement, inflation: float, names: tuple[str, ...]
 ) -> Float64[Array, "row column"]:
-    """What a measurement states about the common errors by themselves: its rows without the ring, by Schur complement."""
+    """What a measurement states about the common errors by themselves: its rows without the ring (Schur complement)."""
     root, ring = measurement.square_root / sqrt(inflation), len(MEASURED_PARAMETERS)
     columns = [ring + names.index(name) for name in measurement.nuisance_parameters]
     rows = np.zeros((ring + len(root), ring + len(names) + 1))
