@@ -16,7 +16,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from ringpose.detect.stripes import lens
+from ringpose.detect.stripes import FILTER_SIGMA_PX, RIDGE_REACH, lens
 from ringpose.estimate.factors.edges import Edges, no_edges
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.measurements import Measurements, measurements_of
@@ -25,7 +25,8 @@ from ringpose.geometry.rays import rays_wrt_pixel_and_camera
 from ringpose.geometry.ring import EDGE_SIGN, STEP, TINY, TURN, RingArcs, edge_distances, edge_points
 from ringpose.kernels import _kernels, column_names, column_slices, kernel_record
 from ringpose.kernels.lines import Lens
-from ringpose.optics.feature_errors import POINT_SIGMA_PX, STEP_DN, STEP_SIGMAS, noise_across_edge
+from ringpose.optics.feature_errors import BLUR_SIGMA_PX, POINT_SIGMA_PX, STEP_DN, STEP_SIGMAS, noise_across_edge
+from ringpose.optics.image_noise import PIXEL_VARIANCE
 from ringpose.types.arrays import Array, Bool, Float64, UInt, UInt8
 from ringpose.types.detection import BreakPoints, JudgedRing
 from ringpose.types.plausible import RING_RADIUS_M
@@ -33,8 +34,12 @@ from ringpose.types.rig import Camera, Rig
 
 # The image and the places in it that laser stripes cover
 
-CELL_PX, CELLS = 4, 2
-"""Places within `CELLS` cells (of `CELL_PX`) of a stripe centre are excluded: 8 to 12 px."""
+ALONG_PX = 4
+"""Length of edge over which a profile is averaged, and the spacing of the places: the intensity beyond the edge may
+change within a few pixels. Also the size of the cells of the stripe mask."""
+
+CELLS = math.ceil(RIDGE_REACH * FILTER_SIGMA_PX / ALONG_PX)
+"""Places within so many cells of a stripe centre are excluded: as far as the light of a stripe is taken to reach."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,9 +55,9 @@ class EdgeImage:
 def stripe_mask(
     stripes_px: Float64[Array, "center xy=2"], image: UInt[Array, "row column"]
 ) -> UInt8[Array, "cell_row cell_column"]:
-    """Mask of the image in cells of `CELL_PX` pixels: 1 where a stripe centre is within `CELLS` cells, else 0."""
-    lit = np.zeros((image.shape[0] // CELL_PX + 1, image.shape[1] // CELL_PX + 1), dtype=np.uint8)
-    column, row = (stripes_px / CELL_PX).astype(np.int64).T
+    """Mask of the image in cells of `ALONG_PX` pixels: 1 where a stripe centre is within `CELLS` cells, else 0."""
+    lit = np.zeros((image.shape[0] // ALONG_PX + 1, image.shape[1] // ALONG_PX + 1), dtype=np.uint8)
+    column, row = (stripes_px / ALONG_PX).astype(np.int64).T
     lit[row, column] = 1
     dilated: UInt8[Array, "cell_row cell_column"] = cv2.dilate(lit, np.ones((2 * CELLS + 1, 2 * CELLS + 1), np.uint8))
     return dilated
@@ -144,7 +149,7 @@ def edge_trace(
     covariance: Float64[Array, "step=7 step=7"] | None,
     camera: Camera,
     spacing_px: int | float,
-    sigma_px: float = math.inf,
+    sigma_px: int | float = math.inf,
 ) -> EdgeTrace:
     """Places about `spacing_px` apart along both edges, where these are predicted with a sigma of at most `sigma_px`.
 
@@ -156,7 +161,7 @@ def edge_trace(
         return EdgeTrace(np.empty((0, PLACE_WIDTH)))
     number = np.tile(np.arange(-count, count + 1.0), 2)
     edge_sign = np.repeat(EDGE_SIGN, len(number) // 2)
-    params = PlaceParams(image_width=camera.image_width, image_height=camera.image_height, sigma_px=sigma_px)
+    params = PlaceParams(image_width=camera.image_width, image_height=camera.image_height, sigma_px=float(sigma_px))
     return edge_places(arcs, number * (spacing_px * metres_per_px), edge_sign, number, lens(camera), params, covariance)
 
 
@@ -197,7 +202,7 @@ def outside_stripes(frame: EdgeImage, trace: EdgeTrace) -> EdgeTrace:
     """The places that are not beside a stripe."""
     if frame.lit is None:
         return trace
-    column, row = (trace.position_px / CELL_PX).astype(np.int64).T
+    column, row = (trace.position_px / ALONG_PX).astype(np.int64).T
     return trace.selected(frame.lit[row, column] == 0)
 
 
@@ -212,21 +217,14 @@ INSIDE_PX = 5
 OUTSIDE_PX = 3
 """Samples beyond the outermost candidate position."""
 
-ALONG_PX = 4
-"""Length of edge over which a profile is averaged, and the spacing of the places where none is left out: the intensity
-beyond the edge may change within a few pixels."""
-
 CLOSE_REACH_PX = 2
 """Half width of the search across an edge whose place is known: that of a candidate, or of the ring that is fitted."""
 
 PLACES = 0.25
 """Spacing of the candidate positions in pixels; a parabola interpolates between them."""
 
-NOISE_DN = 0.3
-"""Minimum noise of a grey value: quantization."""
-
-POOLED = 9
-"""Number of neighbouring profiles whose noise is pooled."""
+NEIGHBOURS = 9
+"""Number of neighbouring profiles, or steps, from whose scatter errors are estimated: 36 px, three facets of foil."""
 
 
 @kernel_record
@@ -243,8 +241,9 @@ class ProfileParams:
     inside_px: int = INSIDE_PX
     outside_px: int = OUTSIDE_PX
     along_px: int = ALONG_PX
-    noise_dn: float = NOISE_DN
-    pooled: int = POOLED
+    noise_dn: float = math.sqrt(PIXEL_VARIANCE)
+    """Minimum noise of a grey value: quantization."""
+    pooled: int = NEIGHBOURS
 
 
 @kernel_record
@@ -252,13 +251,13 @@ class ProfileParams:
 class StepParams:
     """Parameters of the step fit in a profile."""
 
-    flat: float = 1e-9
+    flat: float = TINY
     """Smallest second difference of the cost at a minimum."""
-    touched_px: float = 3.0
+    touched_px: float = OUTSIDE_PX
     """A profile with a saturated sample closer than this to the step is rejected: it hides the intensity beyond."""
     spacing_px: float = PLACES
     """Distance between the step positions that are tried."""
-    pooled: int = POOLED
+    pooled: int = NEIGHBOURS
     """Neighbouring profiles over which the residual variance is averaged."""
 
 
@@ -387,18 +386,6 @@ def _median(values: Float64[Array, "n"]) -> float:
 CLUTTER = 2.5
 """Factor on the sigmas of single steps: the intensity beyond the edge is not uniform."""
 
-MIN_SIGMA_PX = 0.1
-"""Minimum standard deviation of a single step, before that factor."""
-
-SOFT = 1.5
-"""Ratio of the blur of a soft step to that of the ring's edges ..."""
-
-SOFT_GAIN = 2.0
-"""... and by how much, in residual variances, the sum of squares of a soft step is smaller with that blur."""
-
-STEP_NUMBERS = 4
-"""Numbers that are fitted to a profile: two levels, place and blur."""
-
 
 class ClearSteps(NamedTuple):
     """Places of a trace at which an edge of the ring may have been found, and the steps there."""
@@ -411,22 +398,12 @@ def clear_steps(frame: EdgeImage, trace: EdgeTrace, reach_px: int, *, precise: b
     """The steps within `reach_px` of the places of a trace that stand out of the noise.
 
     The steps are located for an estimated blur if `precise`, else for a blur of `BLUR_PX`, which takes less time.
-
-    The face hides what is behind it, so that its edge is as sharp as the lens images it. Where the foil behind is as
-    bright as the face, the next step is a facet of the foil beyond the edge, and most of these are softer: if most
-    places show no step, soft ones are left out.
     """
     profiles = edge_profiles(frame.image, trace.position_px, trace.normal, reach_px, frame.saturation_dn)
     blur_px = estimated_blur_px(profiles, reach_px) if precise else BLUR_PX
     steps = edge_steps(profiles, reach_px, blur_px)
     clear = np.isfinite(steps.offset_px) & (steps.sigma_px < POINT_SIGMA_PX)
     clear &= (steps.height > STEP_SIGMAS) & (steps.height_dn > STEP_DN)
-    if 0 < 2 * np.count_nonzero(clear) < len(clear):
-        lens_px = blur_px if precise else estimated_blur_px(profiles, reach_px)
-        there = Profiles(*(each[clear] for each in profiles))
-        sharp, soft = (edge_steps(there, reach_px, round(each, 2)).cost for each in (lens_px, SOFT * lens_px))
-        reduced_chi2 = np.maximum(soft / (there.value.shape[1] - STEP_NUMBERS), 1.0)
-        clear[clear] = sharp - soft < SOFT_GAIN * reduced_chi2
     return ClearSteps(trace.selected(clear), EdgeSteps(*(each[clear] for each in steps)))
 
 
@@ -436,7 +413,7 @@ def edge_observations(clear: ClearSteps, rig: Rig) -> Edges:
     A camera without covariance counts as exact in this search.
     """
     trace, steps = clear
-    sigma_px = CLUTTER * np.hypot(steps.sigma_px, MIN_SIGMA_PX)
+    sigma_px = CLUTTER * np.hypot(steps.sigma_px, BLUR_SIGMA_PX)
     point = rays_beside(trace, steps.offset_px)
     ray = point / point[:, 2:]
     wrt_camera = np.zeros((len(ray), 2, 4 + len(rig.camera.distortion_coefficients)))
@@ -459,10 +436,6 @@ def rays_beside(trace: EdgeTrace, offset_px: Float64[Array, "n"]) -> Float64[Arr
     return ray
 
 
-PREDICTED_SIGMA_PX = 1.3
-"""Edges are searched where the standard deviation of their prediction is at most this."""
-
-
 class PredictedRing(NamedTuple):
     """A predicted ring, and the covariance of its increments (`STEP` of `ringpose.geometry.ring`)."""
 
@@ -472,48 +445,25 @@ class PredictedRing(NamedTuple):
 
 # Tracking of the edges from the stripes, by the ring that is fitted to both
 
-ROUNDS = 10
-"""Maximum number of tracking rounds; each extends the tracked length about twofold."""
-
 FARTHER = 1.05
-"""Minimum growth of the tracked length in a round; tracking stops with less."""
-
-WALK_SPACING_PX, WALK_REACH_PX = 12, 4
-"""Spacing of the places while tracking, and half width of the search across the edge."""
-
-FIRST_PX = 600
-"""While less than this of both edges are predicted, there are few steps, so that none is left out (`ALONG_PX`), and a
-search wider than `CLOSE_REACH_PX` would find more steps of foil than the fit could reject."""
-
-MIN_SHARE = 0.05
-"""Minimum share of the predicted places that show a step."""
-
-OPEN_TURN_SIGMA_RAD = 0.2
-"""Standard deviation of the edges' direction above which it is first searched in the image."""
+"""Minimum growth of the number of places in a round; tracking stops with less."""
 
 
 def tracked_ring(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> PredictedRing | None:
     """The ring with its edges as far as they can be tracked from the stripes; None if they cannot."""
     ring: PredictedRing | None = stripes.start
-    if stripes.start.covariance[TURN, TURN] > OPEN_TURN_SIGMA_RAD**2:
+    if len(stripes.measured.lasers) == 1:
         turned, beside = edges_beside_stripe(stripes, frame, rig)
-        ring = stripes.fitted(turned, beside, FIRST_ITERATIONS)
-    tracked_px = 0.0
-    for _ in range(ROUNDS):
-        if ring is None or not plausible(ring.arcs):
-            return None
-        first = tracked_px < FIRST_PX
-        spacing_px, reach_px = (ALONG_PX, CLOSE_REACH_PX) if first else (WALK_SPACING_PX, WALK_REACH_PX)
-        trace = edge_trace(*ring, rig.camera, spacing_px, PREDICTED_SIGMA_PX)
-        if len(trace.edge_sign) * spacing_px <= tracked_px * FARTHER:
-            break
-        tracked_px = len(trace.edge_sign) * spacing_px
-        trace = outside_stripes(frame, trace)
-        observations = edge_observations(clear_steps(frame, trace, reach_px), rig)
-        if len(observations.edge) < MIN_SHARE * len(trace.edge_sign):
-            return None
-        ring = stripes.fitted(ring.arcs, observations)
-    return ring
+        ring = stripes.fitted(turned, beside)
+    tracked = 0
+    while ring is not None and plausible(ring.arcs):
+        trace = edge_trace(*ring, rig.camera, ALONG_PX, CLOSE_REACH_PX)
+        if len(trace.edge_sign) <= FARTHER * tracked:
+            return ring
+        tracked = len(trace.edge_sign)
+        steps = clear_steps(frame, outside_stripes(frame, trace), CLOSE_REACH_PX)
+        ring = stripes.fitted(ring.arcs, edge_observations(steps, rig)) if len(steps.trace.edge_sign) else None
+    return None
 
 
 # Direction of the edges at a single stripe, which its two ends leave open
@@ -522,17 +472,13 @@ TURNS_RAD = np.linspace(-1.2, 1.2, 81)
 """Candidate angles between the stripe's normal on the face and the edges; of a stripe across both arcs, whose four ends
 leave nothing else of the ring open, between the face's middle and its centre."""
 
-MIN_NUMBER, MAX_NUMBER = 2, 9
-"""Range of the places examined on each edge, counted from the stripe to each side ..."""
-
-SPACING_PX = 6.0
-"""... and their spacing: so near the stripe the edges are straight."""
-
-MIN_STEPS = 5
-"""Minimum number of places that show a step ..."""
+MIN_OF_BOTH = 8
+"""Minimum number of places that show a step in a direction, or of points on either edge of a ring that nothing else
+confirms."""
 
 DISTINCT, SIMILAR = 2, 6
-"""... and its minimum ratio to that of any direction that is not among the next `SIMILAR` ones."""
+"""Minimum ratio of the number of places with a step to that of any direction that is not among the next `SIMILAR`
+ones."""
 
 
 def edges_beside_stripe(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) -> tuple[RingArcs, Edges]:
@@ -545,9 +491,8 @@ def edges_beside_stripe(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) 
         turned = [_aside(arcs, math.tan(turn_rad) * arcs.mean_radius_m) for turn_rad in TURNS_RAD.tolist()]
     else:
         turned = [_turned(arcs, turn_rad) for turn_rad in TURNS_RAD.tolist()]
-    to_one_side = np.arange(MIN_NUMBER, MAX_NUMBER + 1)
-    places = np.concatenate([-to_one_side[::-1], to_one_side])
-    spacing_m = SPACING_PX * float(arcs.origin[2]) / float(rig.camera.camera_matrix[0, 0])
+    places = np.delete(np.arange(-NEIGHBOURS, NEIGHBOURS + 1.0), NEIGHBOURS)  # so near the stripe edges are straight
+    spacing_m = ALONG_PX * float(arcs.origin[2]) / float(rig.camera.camera_matrix[0, 0])
     params = PlaceParams(image_width=rig.camera.image_width, image_height=rig.camera.image_height)
     tables = []
     for direction, ring in enumerate(turned):
@@ -561,7 +506,7 @@ def edges_beside_stripe(stripes: "RingFromStripes", frame: EdgeImage, rig: Rig) 
     count = np.bincount(clear.trace.number.astype(np.int64), minlength=len(turned))
     best = int(np.argmax(count))
     elsewhere = np.delete(count, slice(max(best - SIMILAR, 0), best + SIMILAR + 1))
-    if count[best] < max(MIN_STEPS, DISTINCT * elsewhere.max()):
+    if count[best] < max(MIN_OF_BOTH, DISTINCT * elsewhere.max()):
         return arcs, no_edges(rig.camera)
     steps = clear_steps(frame, trace.selected(trace.number == best), CLOSE_REACH_PX)
     return turned[best], edge_observations(steps, rig)
@@ -594,8 +539,8 @@ def _aside(arcs: RingArcs, aside_m: float) -> RingArcs:
 
 # Fit of the ring to stripes and tracked edge points
 
-ITERATIONS, FIRST_ITERATIONS = 2, 4
-"""Gauss-Newton iterations of each fit, and of that which determines the edges' direction."""
+ITERATIONS = 2
+"""Gauss-Newton iterations of each fit."""
 
 LINE_SIGMA_PX = 0.1
 """Calibration error that is added to the sigma of a stripe's line, across the line."""
@@ -619,7 +564,7 @@ class RingFromStripes:
         """Whether there are break points on both arcs."""
         return not bool(self.measured.points.described.all())
 
-    def fitted(self, arcs: RingArcs, edges: Edges, iterations: int = ITERATIONS) -> PredictedRing | None:
+    def fitted(self, arcs: RingArcs, edges: Edges) -> PredictedRing | None:
         """The ring near `arcs` by stripes and edge points; weak priors hold what these leave open.
 
         Beside several stripes the edges count as those of the face, to be searched farther along it.
@@ -627,7 +572,7 @@ class RingFromStripes:
         prior = Prior(regularize_about=self.start.arcs)
         edges = replace(edges, walls=len(self.measured.lines.laser) == 1)
         with np.errstate(all="ignore"):
-            ring = refine_ring(replace(self.measured, edges=edges), prior, arcs, iterations)
+            ring = refine_ring(replace(self.measured, edges=edges), prior, arcs, ITERATIONS)
         return None if ring is None else PredictedRing(*ring)
 
 
@@ -639,7 +584,7 @@ def ring_from_stripes(break_points: BreakPoints, rig: Rig, judged: JudgedRing | 
     """
     variance = break_points.covariance_px2[..., 0, 0] + END_SIGMA_PX**2
     # two uncertain ends still predict the edges; the steps found there then confirm or contradict them
-    inflated = np.minimum(variance, PREDICTED_SIGMA_PX**2)[..., None, None] * np.eye(2)
+    inflated = np.minimum(variance, CLOSE_REACH_PX**2)[..., None, None] * np.eye(2)
     allowed = replace(
         break_points, covariance_px2=inflated, face_sigma_px=np.hypot(break_points.face_sigma_px, LINE_SIGMA_PX)
     )

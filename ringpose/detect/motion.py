@@ -13,7 +13,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from ringpose.detect.edge_search import WALK_SPACING_PX
 from ringpose.geometry.least_squares import huber_weights
 from ringpose.geometry.rays import POINTS_OF_A_PLANE, project, rays, undistorted_pixels, undistorted_rays
 from ringpose.geometry.sheets import sheet_points
@@ -100,7 +99,7 @@ def _edge_places(points: BreakPoints, beside_stripes: bool) -> tuple[Float64[Arr
         ends = ends[np.argsort(ends[:, 1])]
         for start, stop in pairwise(ends):
             length = float(np.hypot(*(stop - start)))
-            along = np.arange(0.0, length, WALK_SPACING_PX)
+            along = np.arange(0.0, length, WINDOW_PX / 2)
             if beside_stripes:
                 along = along[(along > WINDOW_PX) & (along < length - WINDOW_PX)]
             direction = (stop - start) / length

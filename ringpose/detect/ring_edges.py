@@ -17,8 +17,8 @@ from ringpose.detect.difference_images import BAND_PX, VISIBLE_SHARE
 from ringpose.detect.edge_search import (
     ALONG_PX,
     CLOSE_REACH_PX,
-    PREDICTED_SIGMA_PX,
-    WALK_REACH_PX,
+    MIN_OF_BOTH,
+    NEIGHBOURS,
     EdgeImage,
     EdgeTrace,
     RingFromStripes,
@@ -60,9 +60,6 @@ from ringpose.types.finding import Finding
 from ringpose.types.image import Shot
 from ringpose.types.plausible import RING_RADIUS_M
 from ringpose.types.rig import Rig
-
-MIN_OF_BOTH = 8
-"""Minimum number of points on either edge of a ring that nothing else confirms."""
 
 
 class FoundEdges(NamedTuple):
@@ -263,7 +260,7 @@ def found_edges(
     tracked = None if stripes is None else tracked_ring(stripes, frame, rig)
     if stripes is None or tracked is None:
         return None
-    trace = outside_stripes(frame, edge_trace(*tracked, rig.camera, ALONG_PX, PREDICTED_SIGMA_PX))
+    trace = outside_stripes(frame, edge_trace(*tracked, rig.camera, ALONG_PX, CLOSE_REACH_PX))
     clear = clear_steps(frame, trace, CLOSE_REACH_PX, precise=True)
     refined = stripes.fitted(tracked.arcs, edge_observations(clear, rig))
     if refined is None:
@@ -290,12 +287,11 @@ def found_edges(
     )
 
 
-STEP_ON_EDGE_PX, DISTINCT_EDGE = 0.3, 7.0
+STEP_ON_EDGE_PX, DISTINCT_EDGE = 0.35, 7.0
 """Standard deviation of a step on the edge from the ring, and the density of these steps at the edge over that of the
-steps of what is behind: a third of the steps are on the edge."""
-
-SAME_FACET_PX = 1.0
-"""Largest difference of neighbouring steps, across the edge, that are on the border of one facet of foil."""
+steps of what is behind: a third of the steps are on the edge. Neighbouring steps that differ by less than three of
+them are on the border of one facet of foil, and a stretch whose mean is off the ring by more than one is another edge:
+the rim of a wall, a chamfer, a shadow."""
 
 OPEN_CURVATURE_PER_M = 0.5
 """Standard deviation of the curvature by the stripes alone from which it is the visible edges that determine it."""
@@ -337,7 +333,7 @@ def uncertainty_factor(
     slope = at.wrt_step @ direction / np.einsum("nr,nr->n", at.wrt_ray, edges.step)
     information = float(slope @ np.linalg.solve(np.eye(len(slope)) + edges.common @ edges.common.T, slope))
     trace = outside_stripes(frame, edge_trace(arcs, None, rig.camera, ALONG_PX))
-    trace, steps = clear_steps(frame, trace, WALK_REACH_PX, precise=True)
+    trace, steps = clear_steps(frame, trace, 2 * CLOSE_REACH_PX, precise=True)
     at = edge_distances(arcs, rays_beside(trace, steps.offset_px), trace.edge_sign)
     residual_px = at.distance_m * trace.edge_sign / trace.metres_per_px
     slope_px = at.wrt_step @ direction * trace.edge_sign / trace.metres_per_px
@@ -346,7 +342,7 @@ def uncertainty_factor(
     away = np.sinh(CURVATURES) / math.sqrt(information)
     on_edge = np.exp(-0.5 * ((residual_px + away[:, None] * slope_px) / STEP_ON_EDGE_PX) ** 2)
     neighbours = (np.diff(trace.number) == 1) & (np.diff(trace.edge_sign) == 0)
-    other_facet = ~neighbours | (np.abs(np.diff(residual_px)) > SAME_FACET_PX)
+    other_facet = ~neighbours | (np.abs(np.diff(residual_px)) > ALARM_SIGMAS * STEP_ON_EDGE_PX)
     facets_per_step = (1 + np.count_nonzero(other_facet)) / max(len(residual_px), 1)
     logarithm = facets_per_step * np.log1p(DISTINCT_EDGE * on_edge).sum(axis=1)
     weight = np.exp(logarithm - logarithm.max()) * np.cosh(CURVATURES)
@@ -380,18 +376,6 @@ def named_by_curvature(break_points: BreakPoints, edges: Sequence[FoundEdges]) -
 
 GROUP = 3
 """Neighbouring steps that are averaged into one point: 12 px, about the largest facet of crinkled foil."""
-
-STRETCH = 15
-"""Number of neighbouring steps, or points, from whose scatter their errors are estimated."""
-
-SHARED = 6
-"""Weight, in steps, of the whole edge's scatter in that estimate: a few steps may agree by chance."""
-
-DISPLACED_PX = 0.4
-"""A stretch whose mean is this far off the ring is another edge: the rim of a wall, a chamfer, a shadow."""
-
-MAX_DISTANCE_PX = 1.5
-"""Maximum distance of a step from the ring, whatever the scatter of its neighbours."""
 
 
 class _Points(NamedTuple):
@@ -442,13 +426,13 @@ def _displaced(points: _Points) -> Bool[Array, "n"]:
         near = _stretches(points.residual_px[here])
         middle = near.mean(axis=-1)
         variance = np.einsum("ij,ij->i", near, near) / near.shape[1] - middle**2
-        displaced[here] = (np.abs(middle) > DISPLACED_PX) & (middle**2 > variance)
+        displaced[here] = (np.abs(middle) > STEP_ON_EDGE_PX) & (middle**2 > variance)
     return displaced
 
 
 def _inliers(points: _Points) -> _Points:
     """The points that are not outliers; in the scatter, their distance is clipped to the same number of sigmas."""
-    return points.selected(np.abs(points.residual_px) < np.minimum(OUTLIER_SIGMAS * points.sigma_px, MAX_DISTANCE_PX))
+    return points.selected(np.abs(points.residual_px) < OUTLIER_SIGMAS * points.sigma_px)
 
 
 def _scale(points: _Points) -> Float64[Array, "n"]:
@@ -460,7 +444,7 @@ def _scale(points: _Points) -> Float64[Array, "n"]:
         median = np.sort(near, axis=-1)[:, near.shape[1] // 2, None]
         near = np.minimum(near, OUTLIER_SIGMAS * STD_PER_MAD * median)
         squares = np.einsum("ij,ij->i", near, near)
-        scale[here] = np.sqrt((squares + SHARED * squares.mean() / near.shape[1]) / (near.shape[1] + SHARED))
+        scale[here] = np.sqrt((squares + squares.mean()) / (2 * near.shape[1]))  # of both: a few may agree by chance
     return np.maximum(scale, 1e-3)
 
 
@@ -487,7 +471,7 @@ def _edges(points: _Points) -> list[Int64[Array, "m"]]:
 
 def _stretches(values: Float64[Array, "n"]) -> Float64[Array, "n near"]:
     """The values of the neighbours of each point, mirrored at the ends."""
-    half = min(STRETCH, len(values)) // 2
+    half = min(NEIGHBOURS, len(values)) // 2
     mirrored = np.concatenate([values[half - 1 :: -1], values, values[: -half - 1 : -1]])
     near: Float64[Array, "n near"] = mirrored[np.arange(len(values))[:, None] + np.arange(2 * half + 1)]
     return near

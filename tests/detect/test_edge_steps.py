@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ringpose.detect.edge_search import EdgeImage, EdgeTrace, clear_steps, edge_profiles, edge_steps
+from ringpose.detect.edge_search import edge_profiles, edge_steps
 
 COUNT = 40
 
@@ -69,21 +69,3 @@ def test_no_places_give_no_steps():
     steps = edge_steps(edge_profiles(straight_edge(40.0), nowhere, nowhere, 3, 255), 3, 0.9)
 
     assert len(steps.offset_px) == 0
-
-
-@pytest.mark.parametrize(("rows_without_step", "rows_left"), [(240, 80), (0, 400)])
-def test_soft_steps_are_left_out_where_most_places_show_none(rng, rows_without_step, rows_left):
-    sharp, soft = straight_edge(40.3), straight_edge(40.0, blur_px=2.5)
-    rows = np.arange(400)[:, None]
-    image = np.where(rows < 80, sharp, np.where(rows < 400 - rows_without_step, soft, 110))
-    image = np.rint(image + rng.normal(0, 1.0, image.shape)).astype(np.uint8)
-    table = np.zeros((100, 13))
-    table[:, 7:9] = np.stack([np.full(100, 40.0), 4.0 * np.arange(100)], axis=-1)
-    table[:, 9] = 1.0
-
-    found = clear_steps(EdgeImage(image=image, saturation_dn=255), EdgeTrace(table), 3)
-
-    there = found.trace.position_px[:, 1]
-    assert set(4.0 * np.arange(2, 18)) <= set(there)
-    assert there.max() < rows_left
-    assert len(there) > 0.9 * rows_left / 4
