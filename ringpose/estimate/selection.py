@@ -40,7 +40,7 @@ from ringpose.estimate.ring_estimate import (
     reweighted_ring,
 )
 from ringpose.estimate.solver import ALARM_SIGMAS, PRECISE_SIGMAS
-from ringpose.estimate.stripe_evidence import evidence_with_radii, ring_evidence, single_stripe_estimates
+from ringpose.estimate.stripe_evidence import ring_evidence, single_stripe_estimates
 from ringpose.geometry.ring import CURVATURE, RingArcs
 from ringpose.optics.feature_errors import AGREEMENT
 from ringpose.types.detection import JudgedRing, Rejection
@@ -257,12 +257,16 @@ def _single_stripes(solved: Solved) -> list[Solved]:
         return []
     if len(set(measured.points.laser[measured.points.opposite].tolist())) == STRIPES_OF_A_PLANE:
         return []  # four more ends on the same circles
-    measured = measured.once().of_one_arc()
+    measured, assumptions = measured.once().of_one_arc(), solved.hypothesis.prior.assumptions
+    common = estimate_ring(measured, solved.estimate.prior, solved.estimate, tolerance_sigmas=DECISION_SIGMAS)
+    doubtful = [
+        laser
+        for laser in measured.stripes
+        if edges_contradict or common is None or ring_evidence(common, measured, laser) < AGREEMENT
+    ]
     explanations = []
-    assumptions = solved.hypothesis.prior.assumptions
-    for laser, alone, estimate in single_stripe_estimates(measured, assumptions):
-        evidence = max(ring_evidence(estimate, measured, laser), evidence_with_radii(solved, measured, alone, laser))
-        if edges_contradict or evidence < AGREEMENT:
+    for laser, alone, estimate in single_stripe_estimates(measured, assumptions) if doubtful else ():
+        if laser in doubtful:
             rejected = (Rejection(what="stripe", laser=measured.rig.lasers.names[laser]),)
             prior = Prior(assumptions=assumptions)
             hypothesis = Hypothesis(alone, prior, Finding.WRONG_STRIPE, 0.0, rejected, laser)

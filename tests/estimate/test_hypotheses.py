@@ -8,6 +8,7 @@ from moving_cameras import SeenByRobot, in_base, robot
 from moving_rings import START_S, Motion
 from ring_scenes import RIGS, break_points_of, face_points_of, make_scene, scene_of, with_lines, with_stripes
 
+from ringpose.bench.design.rig_changes import with_changes
 from ringpose.detect.break_points import without_outliers
 from ringpose.files.scenes.scene import read_scene
 from ringpose.files.studies.specification import PRESETS
@@ -358,6 +359,34 @@ def test_the_radii_do_not_make_a_stripe_on_the_background_one_of_the_ring(rng):
         shot = two_stripes_one_on_the_background(scene, face_points_of(scene, 0.3, 0.01, rng), rng, 2.0)
 
         result = pose_result(shot, scene.rig, known=known)
+
+        assert not isinstance(result.pose, RingPose) or result.flags & (PoseFlag.NORMAL_WEAK | PoseFlag.INCONSISTENT)
+
+
+def far_apart():
+    """A ring of 0.3 m before a rig whose two stripes cross it at 45 degrees to either side, and its radii."""
+    rig = with_changes(read_scene(PRESETS / "sizes-scene.yaml"), {"baseline_m": 0.2}).rig
+    scene = make_scene(rig, distance_m=0.5, size=(0.27, 0.30))
+    return scene, KnownRadii(radius_m=scene.ring.radius_m, sd_m=np.full(2, 1e-4))
+
+
+def test_two_stripes_far_apart_on_a_ring_are_on_one_ring(rng):
+    scene, known = far_apart()
+
+    for _ in range(4):
+        points = with_stripes(face_points_of(scene, 0.3, 0.02, rng), 0, 1)
+        pose = estimate_pose(points, scene.rig, known=known)
+
+        assert not pose.flags & (PoseFlag.NORMAL_WEAK | PoseFlag.GRASP_WEAK | PoseFlag.CENTER_WEAK)
+        assert sigmas_off(pose, scene) < 5.0
+
+
+def test_a_stripe_on_the_background_far_from_the_other_one_gives_no_sure_normal(rng):
+    scene, known = far_apart()
+
+    for radii in (None, known) * 4:
+        shot = two_stripes_one_on_the_background(scene, face_points_of(scene, 0.3, 0.02, rng), rng, 0.3)
+        result = pose_result(shot, scene.rig, known=radii)
 
         assert not isinstance(result.pose, RingPose) or result.flags & (PoseFlag.NORMAL_WEAK | PoseFlag.INCONSISTENT)
 
