@@ -373,10 +373,14 @@ def _left_out(group: Group, larger: Sequence[Group]) -> tuple[int, ...]:
 
 
 def _lengths_consistent(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> bool:
-    """Whether the segments may cross one band: none is much shorter than the longest, unless the image truncates it."""
+    """Whether the segments may cross one band: none is much shorter than another one, unless the image truncates it.
+
+    One of three that is truncated may be long: where it passes beside the hole.
+    """
     lengths_m = _lengths_m(_ends_m(segments, lasers, rig))
     whole_m = lengths_m[segments[:, CLIPPED] == 0]
-    return bool(lengths_m.max() < MAX_TO_SHORTEST * whole_m.min(initial=math.inf))
+    longest_m = whole_m if len(segments) >= CONFIRMED else lengths_m
+    return bool(longest_m.max(initial=0.0) < MAX_TO_SHORTEST * whole_m.min(initial=math.inf))
 
 
 def _without(group: Group, laser: int) -> Group:

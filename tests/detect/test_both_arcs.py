@@ -11,6 +11,7 @@ from ringpose.detect.pipeline import detect
 from ringpose.detect.rim import ring_face
 from ringpose.kernels.lines import (
     CENTERS,
+    CLIPPED,
     CORRELATION,
     LASER,
     MIDDLE_X,
@@ -152,6 +153,52 @@ def test_two_stripes_across_two_bars_are_no_ring(ends_m, is_ring):
     face = ring_face(segments, (), RIG)
 
     assert (face is not None and face.opposite is not None) == is_ring
+
+
+def beside_the_hole() -> list[np.ndarray]:
+    """The right pieces of two lasers on a ring, and the stripe of the third one, which passes beside the hole."""
+    offset_m = 0.003
+
+    def half_widths_m(y_m):
+        outer_m, inner_m = np.sqrt(np.maximum(RADIUS_M[::-1] ** 2 - (y_m - offset_m) ** 2, 0.0))
+        return outer_m, inner_m
+
+    rows = [segments_on_plane(laser, half_widths_m)[1] for laser in (0, 1)]
+    left, right = segments_on_plane(2, half_widths_m)
+    beside = left.copy()
+    beside[[X_END, CENTERS, MIDDLE_X]] = right[X_END], right[X_END] - left[X_START], 400.0
+    return [*rows, beside]
+
+
+def test_a_stripe_beside_the_hole_is_on_the_face_of_the_pieces_of_one_arc():
+    rows = beside_the_hole()
+
+    face = ring_face(np.array(rows), (), RIG)
+
+    assert face.lasers == (0, 1, 2)
+    assert face.passes_beside_hole(2)
+    assert not face.displaced
+    assert face.opposite.lasers == (2,)
+
+
+def test_three_pieces_of_one_arc_with_equal_lengths_have_no_opposite_arc():
+    rows = [segments_on_plane(laser, lambda y: np.sqrt(RADIUS_M[::-1] ** 2 - (y + 0.03) ** 2))[1] for laser in range(3)]
+
+    face = ring_face(np.array(rows), (), RIG)
+
+    assert face.lasers == (0, 1, 2)
+    assert face.opposite is None
+
+
+def test_a_stripe_beside_the_hole_may_leave_the_image():
+    rows = np.array(beside_the_hole())
+    rows[:, [X_START, X_END, MIDDLE_X]] -= 400.0
+    rows[2, [X_START, MIDDLE_X, CLIPPED]] = 0.0, rows[2, X_END] / 2, 1.0
+
+    face = ring_face(rows, (), RIG)
+
+    assert face.lasers == (0, 1, 2)
+    assert not face.displaced
 
 
 def test_much_foil_does_not_take_the_place_of_the_opposite_arc():

@@ -598,7 +598,7 @@ static int count_own(const Candidate *candidate) {
 /* The number of own ends of a group of chords; 0 if none of its stripes is seen in two pieces, or if an arc has less than three
    ends of two stripes: the curvature passes through any one of them, and a single piece of foil fits every other time. A
    single stripe shows all four of its ends: nothing but these would tell light on the body, seen through the ring. */
-static int count_chord_ends(const Candidate *const member[], int size) {
+static int count_chord_ends(const Candidate *const member[], int size, const RingParams *params) {
     int own[2] = {0}, stripes[2] = {0}, pairs = 0;
     for (int i = 0; i < size; i++) {
         int of_arc[2] = {0}, last = member[i]->ends - 1;
@@ -614,6 +614,7 @@ static int count_chord_ends(const Candidate *const member[], int size) {
     }
     int seen = pairs && stripes[0] > 1 && stripes[1] > 1 && own[0] > 2 && own[1] > 2;
     if (size == 1) seen = pairs && own[0] + own[1] == 4 && !member[0]->may_be_hidden;
+    else seen = seen && own[0] + own[1] >= params->min_chord_ends;
     return seen ? own[0] + own[1] : 0;
 }
 
@@ -635,8 +636,7 @@ static double chord_score(const Candidate *const member[], int size, const Scene
     const RingParams *params = scene->ring;
     double plane[3] = {0}, merit = 0;
     ArcPoint end[MAX_ENDS] = {{0}};
-    int own = count_chord_ends(member, size), ends = 0;
-    if (own < (size == 1 ? 4 : params->min_chord_ends)) return -INFINITY;
+    int ends = 0;
     Flat flat;
     Circles fitted;
     for (int i = 0; i < size; i++) {
@@ -749,9 +749,12 @@ static int as_winner(const Search *search, const Candidate *const member[]) {
 
 static void visit(Search *search, const Candidate *const member[], const int32_t *index) {
     double minimum = search->winner ? *search->runner_up : search->best->score, sine[MAX_ENDS];
+    const RingParams *params = search->scene->ring;
+    int own = search->chords ? count_chord_ends(member, search->size, params) : 0;
+    if (search->chords && !own) return;
     double score = search->chords ? chord_score(member, search->size, search->scene, sine)
                                   : group_score(member, search->size, search->scene, minimum);
-    double gained = search->chords ? score + search->scene->ring->agreement * count_chord_ends(member, search->size) : score;
+    double gained = search->chords ? score + params->agreement * own : score;
     if (search->winner) {
         if (!as_winner(search, member)) *search->runner_up = fmax(*search->runner_up, score);
     } else if (gained > search->best->gained) {
@@ -823,6 +826,39 @@ static Best best_chords(const Candidate *all, int count, const Scene *scene, int
     return best;
 }
 
+enum { NAMES = 3 };
+
+/* The best three segments of one arc where one of them passes beside the hole, from outer edge to outer edge: their ends with
+   every name, each the stripe's own, unless circles fit them better with the names of one arc. `chord` has room for more. */
+static void pass_beside_hole(const Segment *all, size_t pieces, const Candidate *candidate, const Best *group, const Scene *scene,
+                             Candidate *chord, int count, Best *best, int *size) {
+    static const int edges[NAMES][2] = {{OUTER, OUTER}, {OUTER, INNER}, {INNER, OUTER}};
+    double sine[MAX_ENDS], highest = group->score;
+    if (group->index[0] < 0 || *size > 1) return;
+    for (int i = 0; i < MAX_MEMBERS; i++)
+        for (int k = 0; k < NAMES; k++) {
+            const Candidate *of_arc = &candidate[group->index[i]];
+            Candidate *named = &chord[count + NAMES * i + k];
+            *named = (Candidate){.segment = {of_arc->segment[0], -1}, .laser = of_arc->laser, .ends = 2,
+                                 .edge = {edges[k][0], edges[k][1]}};
+            size_t segment = (size_t)of_arc->segment[0];
+            if (!judge_chord(all, pieces, &all[segment], segment >= pieces, scene, named) || count_own(named) < 2) return;
+            complete(scene->plane[named->laser], scene->ring, named);
+        }
+    for (int32_t names = 0; names < NAMES * NAMES * NAMES; names++) {
+        const int32_t index[MAX_MEMBERS] = {count + names % NAMES, count + NAMES + names / NAMES % NAMES,
+                                            count + 2 * NAMES + names / (NAMES * NAMES)};
+        const Candidate *const member[MAX_MEMBERS] = {&chord[index[0]], &chord[index[1]], &chord[index[2]]};
+        int beside = 0;
+        for (int i = 0; i < MAX_MEMBERS; i++) beside |= member[i]->edge[0] == member[i]->edge[1];
+        double score = beside ? chord_score(member, MAX_MEMBERS, scene, sine) : -INFINITY;
+        if (!(score > highest)) continue;
+        highest = score;
+        *size = MAX_MEMBERS;
+        *best = (Best){{index[0], index[1], index[2]}, score, group->runner_up, score, {0}};
+    }
+}
+
 enum { MAX_LASERS = 32 };
 
 static int check_lasers(const Segment *segment, Py_ssize_t segments, Py_ssize_t lasers) {
@@ -862,7 +898,7 @@ static int find(const Segment *segment, size_t count, const Scene *scene, Found 
     List *all = &found->segments;
     size_t room = (size_t)scene->lasers * (size_t)scene->candidates->max_candidates;
     found->candidate = malloc((room ? room : 1) * sizeof *found->candidate);
-    found->chord = malloc((room ? 2 * room : 1) * sizeof *found->chord);
+    found->chord = malloc((2 * room + NAMES * MAX_MEMBERS) * sizeof *found->chord);
     if (found->candidate == NULL || found->chord == NULL || !reserve(all, count + 1)) return 0;
     if (count) memcpy(all->data, segment, count * sizeof *segment);
     all->used = count;
@@ -876,6 +912,8 @@ static int find(const Segment *segment, size_t count, const Scene *scene, Found 
     }
     int chords = find_chords(all->data, all->used, all->used - count, scene, found->chord);
     found->best_chords = best_chords(found->chord, chords, scene, &found->chords);
+    pass_beside_hole(all->data, count, found->candidate, &found->best[MAX_MEMBERS - 1], scene, found->chord, chords,
+                     &found->best_chords, &found->chords);
     return 1;
 }
 
