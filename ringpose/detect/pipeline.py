@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from ringpose.detect.break_points import break_points, ends_clear, without_outliers
+from ringpose.detect.concentric_faces import several_faces
 from ringpose.detect.difference_images import (
     BAND_PX,
     VISIBLE_SHARE,
@@ -311,11 +312,14 @@ def _judged_ring(view: View, stripes: Stripes, unlabelled: Sequence[int]) -> Rin
     if unmoved != view.images:
         ends = break_points(face, segments, unmoved, rig, saturation_dn)
     judged = without_outliers(ends, rig, view.assumptions, view.camera)
+    points = judged.break_points
+    if not isinstance(points, NoBreakPoints) and several_faces(face, segments, unlabelled, judged.ring, rig):
+        points = replace(points, flags=points.flags | np.where(points.seen, int(BreakPointFlag.SEVERAL_FACES), 0))
     displaced = [rig.lasers.names[laser] for laser in face.displaced]
     return RingSearch(
         view=view,
         stripes=stripes,
-        break_points=judged.break_points,
+        break_points=points,
         rejected=(*judged.rejected, *(Rejection(what="stripe", laser=name) for name in displaced)),
         motion=motion,
         ring=judged.ring,

@@ -246,7 +246,7 @@ def _segments_on_plane(
     face: Face, segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig
 ) -> dict[int, list[float]]:
     """The segments of the face, and of each other laser the longest one on its plane; none if they have no plane."""
-    ends_m, lengths_m, origin, normal = _plane_of(face.segments, face.lasers, rig)
+    ends_m, lengths_m, origin, normal = plane_of(face.segments, face.lasers, rig)
     used = face.segments.tolist()
     by_laser = {
         laser: row
@@ -259,7 +259,7 @@ def _segments_on_plane(
         for laser in lasers if row[LASER] == UNLABELLED else (int(row[LASER]),):
             if laser in by_laser or row in by_laser.values():
                 continue
-            (own_m,) = _ends_m(np.array([row]), [laser], rig)
+            (own_m,) = segment_ends_m(np.array([row]), [laser], rig)
             as_long = max(lengths_m) / MAX_TO_SHORTEST < math.dist(*own_m) < MAX_TO_SHORTEST * min(lengths_m)
             in_front = own_m[:, 2].min() > NEAREST_M
             if in_front and as_long and _off_plane_px(row, laser, origin, normal, rig) < SAME_STRIPE_PX:
@@ -377,7 +377,7 @@ def _lengths_consistent(segments: Float64[Array, "segment column=12"], lasers: S
 
     One of three that is truncated may be long: where it passes beside the hole.
     """
-    lengths_m = _lengths_m(_ends_m(segments, lasers, rig))
+    lengths_m = _lengths_m(segment_ends_m(segments, lasers, rig))
     whole_m = lengths_m[segments[:, CLIPPED] == 0]
     longest_m = whole_m if len(segments) >= CONFIRMED else lengths_m
     return bool(longest_m.max(initial=0.0) < MAX_TO_SHORTEST * whole_m.min(initial=math.inf))
@@ -407,11 +407,11 @@ def _beside_band(
     for laser, segment in zip(group.lasers, group.segments, strict=True):
         pair = _without(group, laser)
         rows = segments[list(pair.segments)]
-        plane = _plane_of(rows, pair.lasers, rig)
-        if plane.on_band(_ends_m(segments[[segment]], [laser], rig))[0]:
+        plane = plane_of(rows, pair.lasers, rig)
+        if plane.on_band(segment_ends_m(segments[[segment]], [laser], rig))[0]:
             continue
         others = _of_laser(_others(rows, segments), laser, lasers)
-        ends_m = _ends_m(others, [laser] * len(others), rig)
+        ends_m = segment_ends_m(others, [laser] * len(others), rig)
         for other in others[plane.on_band(ends_m) & plane.alike(ends_m)]:
             if _turn_rad(np.stack([*rows, other]), [*pair.lasers, laser], rig) < MOVED_RAD:
                 return laser
@@ -423,12 +423,12 @@ def _turn_rad(segments: Float64[Array, "segment=3 column=12"], lasers: Sequence[
     off_px = []
     for number, laser in enumerate(lasers):
         others = [each for each in range(len(lasers)) if each != number]
-        plane = _plane_of(segments[others], [lasers[each] for each in others], rig)
+        plane = plane_of(segments[others], [lasers[each] for each in others], rig)
         off_px.append(_off_plane_px(segments[number].tolist(), laser, plane.origin_m, plane.normal, rig))
     return min(off_px) / lens(rig.camera).fy
 
 
-class _Plane(NamedTuple):
+class SegmentPlane(NamedTuple):
     """The plane of the selected segments."""
 
     ends_m: Float64[Array, "segment end=2 xyz=3"]
@@ -454,12 +454,13 @@ class _Plane(NamedTuple):
         return alike
 
 
-def _plane_of(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> _Plane:
-    ends_m = _ends_m(segments, lasers, rig)
+def plane_of(segments: Float64[Array, "segment column=12"], lasers: Sequence[int], rig: Rig) -> SegmentPlane:
+    """The plane through the ends of two or more segments."""
+    ends_m = segment_ends_m(segments, lasers, rig)
     points_m = ends_m.reshape(-1, 3)
     origin_m = points_m.mean(axis=0)
     normal = np.linalg.svd(points_m - origin_m, full_matrices=False)[2][2]
-    return _Plane(ends_m, _lengths_m(ends_m).tolist(), origin_m, -np.sign(normal @ origin_m) * normal)
+    return SegmentPlane(ends_m, _lengths_m(ends_m).tolist(), origin_m, -np.sign(normal @ origin_m) * normal)
 
 
 def _others(
@@ -474,10 +475,12 @@ def _of_laser(
     segments: Float64[Array, "segment column=12"], laser: int, lasers: Sequence[int]
 ) -> Float64[Array, "own column=12"]:
     """The segments that may be of a laser; `lasers`: those that an unlabelled segment may belong to."""
-    return segments[_is_of(segments, laser, lasers)]
+    return segments[is_of_laser(segments, laser, lasers)]
 
 
-def _is_of(segments: Float64[Array, "segment column=12"], laser: int, lasers: Sequence[int]) -> Bool[Array, "segment"]:
+def is_of_laser(
+    segments: Float64[Array, "segment column=12"], laser: int, lasers: Sequence[int]
+) -> Bool[Array, "segment"]:
     """Mask of the same."""
     mask: Bool[Array, "segment"] = (segments[:, LASER] == laser) | (
         (segments[:, LASER] == UNLABELLED) & (laser in lasers)
@@ -501,15 +504,15 @@ def _interrupted(
     standing, at_ends = np.zeros(len(segments), dtype=bool), set()
     if len(face.lasers) <= 1 or not any(covered):
         return face, standing
-    plane = _plane_of(face.segments, face.lasers, rig)
+    plane = plane_of(face.segments, face.lasers, rig)
     whole = int(np.argmax(plane.lengths_m))
     band_m = plane.lengths_m[whole]
     if face.segments[whole, CLIPPED]:
         return face, standing
     for number, (row, laser) in enumerate(zip(face.segments, face.lasers, strict=True)):
-        own = np.flatnonzero(_is_of(segments, laser, lasers))
+        own = np.flatnonzero(is_of_laser(segments, laser, lasers))
         start, end, x, y = segments[own][:, [X_START, X_END, MIDDLE_X, MIDDLE_Y]].T
-        ends_m = _ends_m(segments[own], [laser] * len(own), rig)
+        ends_m = segment_ends_m(segments[own], [laser] * len(own), rig)
         off_m = (ends_m - plane.origin_m) @ plane.normal
         in_front = (off_m.min(axis=1) > 0.0) & (off_m.max(axis=1) < band_m)
         if number == whole:
@@ -545,13 +548,13 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Ri
         of_lasers = (*of_lasers, *face.opposite.lasers)
     if len(face.lasers) <= 1 or not len(others := _others(on_face, segments)):
         return face
-    plane, lasers = _plane_of(on_face, of_lasers, rig), np.array(face.lasers)
+    plane, lasers = plane_of(on_face, of_lasers, rig), np.array(face.lasers)
     which, number = np.nonzero((others[:, LASER, None] == lasers) | (others[:, LASER, None] == UNLABELLED))
-    ends_m = _ends_m(others[which], lasers[number], rig)
+    ends_m = segment_ends_m(others[which], lasers[number], rig)
     rows = others[sorted(set(which[_in_front(ends_m, plane.origin_m, plane.normal)].tolist()))]
     nearer = ring_face(_beside_face(rows, on_face), face.lasers, rig) if len(rows) > 1 else None
     if nearer is not None and len(nearer.lasers) > 1 and (nearer.is_confirmed or nearer.score > face.score):
-        nearer_m, _, _, normal = _plane_of(nearer.segments, nearer.lasers, rig)
+        nearer_m, _, _, normal = plane_of(nearer.segments, nearer.lasers, rig)
         parallel = float(np.linalg.norm(normal - plane.normal)) < PARALLEL_WITHIN
         if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):
             return _as_measured(nearer, rows)
@@ -624,12 +627,12 @@ def displaced_lasers(
         return ()
     if not len(others := _others(face.segments, segments)):
         return face.displaced
-    plane = _plane_of(face.segments, face.lasers, rig)
+    plane = plane_of(face.segments, face.lasers, rig)
     shortest_m, longest_m = min(plane.lengths_m), max(plane.lengths_m)
     displaced = list(face.displaced)
     for laser in set(range(len(rig.lasers.names))).difference(face.lasers, face.displaced):
         own = _of_laser(others, laser, lasers)
-        ends_m = _ends_m(own, [laser] * len(own), rig)
+        ends_m = segment_ends_m(own, [laser] * len(own), rig)
         length_m, off_m = _lengths_m(ends_m), (ends_m - plane.origin_m) @ plane.normal
         near = np.abs(off_m).max(axis=1) < np.where(plane.alike(ends_m), ALIKE_DISPLACED_M, DISPLACED_M)
         as_long = (length_m > shortest_m / MAX_TO_SHORTEST) & (length_m < MAX_TO_SHORTEST * longest_m)
@@ -638,7 +641,7 @@ def displaced_lasers(
     return tuple(sorted(displaced))
 
 
-def _ends_m(
+def segment_ends_m(
     segments: Float64[Array, "n column=12"], lasers: Sequence[int] | Int64[Array, "n"], rig: Rig
 ) -> Float64[Array, "n end=2 xyz=3"]:
     """The ends of segments in space (m, camera frame), each on the light plane of its laser."""

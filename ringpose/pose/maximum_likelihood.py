@@ -126,6 +126,7 @@ def most_likely_pose(
     result, findings = _result(best, source)
     displaced = _displaced(rejected)
     doubts = untimed or (Finding.DISPLACED_STRIPE if displaced else _doubts(best, break_points))
+    doubts |= _several_faces(best, break_points)
     result = result if untimed or break_points.labelled else _confirmed(result, best, doubts)
     rejected = (*rejected, *result.rejected)
     states, in_view = status.seen_lasers(best, break_points, rig, lasers_on, rejected)
@@ -265,6 +266,12 @@ def _doubts(best: Explanation, break_points: BreakPoints) -> Finding:
     if clear < ENDS_OF_A_RING or (clear == ENDS_OF_A_RING and one_missing):
         return Finding.FEW_ENDS | _open_velocity(best)
     return Finding.ONE_STRIPE_ALONE if is_alone else NOTHING
+
+
+def _several_faces(best: Explanation, break_points: BreakPoints) -> Finding:
+    """Whether another face may be the ring's: given radii that the shot does not contradict are those of this one."""
+    seen = bool((break_points.flags & int(BreakPointFlag.SEVERAL_FACES)).any())
+    return Finding.SEVERAL_FACES if seen and best.prior.radii is None else NOTHING
 
 
 def _confirmed(result: PoseResult, best: Explanation, doubts: Finding) -> PoseResult:

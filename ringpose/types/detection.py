@@ -45,6 +45,8 @@ class BreakPointFlag(IntFlag):
     INTERRUPTED = 256
     """The stripe has a gap of 10 columns or more between its ends, or an end at something that stands on the face:
     something stands on it, over it, or is missing from it."""
+    SEVERAL_FACES = 512
+    """Another face is at the same height about the same axis: which one is the ring's, or whether both are, is open."""
 
 
 class NoBreakPoints(Enum):
@@ -93,7 +95,8 @@ class BreakPoints:
             "position of the sharp edge), 64 (its standard deviation exceeds 0.75 px because of noise, a glint or "
             "foil, or it could not be measured: null), 128 (a stripe of the same laser on a surface in front of the "
             "face begins beside the end, which may be occluded), 256 (the stripe has a gap between its ends: a bolt, a "
-            "cable, a piece of the face that is missing).",
+            "cable, a piece of the face that is missing), 512 (another face is at the same height about the same "
+            "axis: which one is the ring's is open).",
             least=0,
         ),
     ]

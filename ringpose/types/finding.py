@@ -56,6 +56,8 @@ class Finding(IntFlag):
     """One or two stripes have no redundancy that could show an error of the rig."""
     ONE_STRIPE_ALONE = auto()
     """The two ends of a single stripe, without visible edges."""
+    SEVERAL_FACES = auto()
+    """Another face is at the same height about the same axis, and no radii are given."""
 
     # What should be in view but was not used
     DISPLACED_STRIPE = auto()
