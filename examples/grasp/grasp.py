@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """A robot that grasps the ring of a tumbling satellite, guided by `ringpose pose --track`; run.sh starts all of it.
 
-    sh run.sh DIR [--seed N] [--floating] [--distance-m D] [--share S]
+    sh run.sh DIR [--seed N] [--floating] [--distance-m D] [--share S] [--record]
 
 Three programs exchange what they would exchange in a laboratory:
 
@@ -16,12 +16,14 @@ closes. The rig that measures, and the mount, differ from the true ones by error
 
 The outcome against the truth is a line on standard error, and in DIR/captures.jsonl for `ringpose bench capture`; the
 exit status is 0 if the gripper closed on the band, 3 if not. A share below 1 makes the pictures smaller, and the whole
-faster.
+faster. With --record the shots of the run, the poses of the robot, the lines and the truth are kept in DIR, and the
+console shows them: ringpose view DIR/shots --rig DIR/rig.yaml --tracks DIR/tracks.jsonl --robot-poses DIR/robot.jsonl
 """
 
 import argparse
 import json
 import queue
+import shutil
 import socket
 import struct
 import sys
@@ -40,6 +42,7 @@ from ringpose.bench.capture.guidance import ring_of_track
 from ringpose.bench.capture.loop import run_loop
 from ringpose.bench.capture.score import outcome_of
 from ringpose.bench.capture.world import SHOT_S, World, tumbling
+from ringpose.files.images.shots import write_shot
 from ringpose.files.records import captures, line_of, tracks
 from ringpose.files.rigs import read_rig, write_rig
 from ringpose.files.scenes.motions import mass_properties
@@ -49,9 +52,10 @@ from ringpose.geometry.rotations import rotation_vector
 from ringpose.simulate.placement import ring_rotation, ring_views
 from ringpose.simulate.stripe_ends import drawn_rig
 from ringpose.types.capture import Arm, CaptureLoop, FloatingBase
+from ringpose.types.image import Shot
 from ringpose.types.scene import Sensor
 from ringpose.types.target import FreeMotion
-from ringpose.wire.images import PROTOCOL, message
+from ringpose.wire.images import PROTOCOL, Header, frame_in, message
 
 HERE = Path(__file__).parent
 LOOP = CaptureLoop(gripper_m=np.array([0.0, -0.025, 0.25]), arm=Arm(delay_s=0.1), latency_s=0.12)
@@ -101,7 +105,7 @@ class Platform:
         host, _, port = address.removeprefix("tcp://").rpartition(":")
         self._socket = socket.create_connection((host, int(port)))
         self._send({"type": "hello", "protocol": PROTOCOL})
-        self.greeting = self._received()
+        self.greeting, _ = self._received()
 
     def show(self, before, after, apart_s, height_m):
         """Show the ring from the next shot on, which begins in the first of two poses and comes to the other one."""
@@ -115,19 +119,20 @@ class Platform:
             "velocity_m_s": ((later_m + height_m * later[:, 2] - center_m) / apart_s).tolist(),
             "angular_velocity_rad_s": (rotation_vector(later @ rotation.T) / apart_s).tolist(),
         })  # fmt: skip
-        answer = self._received()
+        answer, _ = self._received()
         if answer["type"] != "done":
             sys.exit(f"grasp: the platform cannot show it: {answer.get('message')}")
 
     def exposed(self):
-        """The header of the next frame."""
+        """The next frame."""
         self._send({"type": "subscribe", "frames": 1})
-        return self._received()
+        header, pixels = self._received()
+        return frame_in(Header(header), pixels)
 
     def begin(self, lines):
         """Let the platform take shots until their lines come; from then on time advances only with this client."""
         while lines.empty():
-            while self.exposed()["step"] != len(self.greeting["sequence"]) - 1:
+            while self.exposed().step != len(self.greeting["sequence"]) - 1:
                 pass
             sleep(SETTLE_S)
 
@@ -136,9 +141,7 @@ class Platform:
 
     def _received(self):
         _, size, payload = struct.unpack(">4sII", self._exactly(12))
-        header = json.loads(self._exactly(size))
-        self._exactly(payload)
-        return header
+        return json.loads(self._exactly(size)), self._exactly(payload)
 
     def _exactly(self, size):
         parts = bytearray()
@@ -157,7 +160,39 @@ def lines_of(stream):
     return lines
 
 
-def run(folder, address, seed, floating):
+class Recording:
+    """What a run was, for `ringpose view`; nothing without a folder."""
+
+    def __init__(self, folder):
+        self._folder = folder
+        if folder is not None:
+            shutil.rmtree(folder / "shots", ignore_errors=True)
+            (folder / "shots").mkdir()
+            for name in ("robot", "tracks", "truth"):
+                (folder / f"{name}.jsonl").write_text("")
+
+    def add(self, name, text):
+        """Add lines to the file of this name."""
+        if self._folder is not None:
+            with (self._folder / f"{name}.jsonl").open("a") as file:
+                file.write(text)
+
+    def add_shot(self, frames):
+        """Keep a shot and its truth."""
+        if self._folder is None:
+            return
+        shot = Shot(
+            name=frames[0].shot,
+            images=np.stack([frame.image for frame in frames]),
+            lasers=np.array([frame.lasers for frame in frames], np.uint8),
+            stamp_s=np.array([frame.stamp_s for frame in frames]),
+            exposure_s=np.array([frame.exposure_s for frame in frames]),
+        )
+        write_shot(self._folder / "shots" / f"{shot.name}.npz", shot)
+        self.add("truth", json.dumps(frames[0].truth) + "\n")
+
+
+def run(folder, address, seed, floating, *, record):
     scene, platform = read_scene(folder / "scene.yaml"), Platform(address)
     scene = replace(scene, rig=read_rig(folder / "rig.yaml"))
     _, center_m, inertia = mass_properties(scene.parts)
@@ -167,7 +202,7 @@ def run(folder, address, seed, floating):
     frame_s, frames = 1.0 / platform.greeting["rate_hz"], len(platform.greeting["sequence"])
     loop = replace(LOOP, period_s=frames * frame_s)
     world = World(scene, ring_views(scene)[0], motion, loop, FloatingBase() if floating else None, rng)
-    lines, reported, middle_s = lines_of(sys.stdin), 0, 0.0
+    lines, reported, middle_s, recording = lines_of(sys.stdin), 0, 0.0, Recording(folder if record else None)
 
     platform.begin(lines)
 
@@ -179,24 +214,27 @@ def run(folder, address, seed, floating):
         shown_s = lit_s + middle_s
         before, after = world.camera_from_target(time_s), world.camera_from_target(shown_s)
         platform.show(before, after, shown_s - time_s, scene.ring.height_m)
-        frame = platform.exposed()
-        begin_s = frame["stamp_s"] - time_s
+        shot = [platform.exposed()]
+        begin_s = shot[0].stamp_s - time_s
         for stamp_s, pose in world.reported[reported:]:
             stated = {
                 "position_m": pose.position_m.tolist(),
                 "orientation_xyzw": Rotation.from_matrix(pose.rotation).as_quat().tolist(),
             }
-            print(json.dumps({"stamp_s": begin_s + stamp_s, "base_from_tool": stated}))
+            text = json.dumps({"stamp_s": begin_s + stamp_s, "base_from_tool": stated}) + "\n"
+            sys.stdout.write(text)
+            recording.add("robot", text)
         sys.stdout.flush()
         reported = len(world.reported)
-        for _ in range(1, frames):
-            frame = platform.exposed()
-        middle_s = 0.5 * frame["exposure_s"]
+        shot += [platform.exposed() for _ in range(1, frames)]
+        recording.add_shot(shot)
+        middle_s = 0.5 * shot[-1].exposure_s
         try:
             while line := lines.get(timeout=ANSWER_S):
-                record = json.loads(line)
-                if record["shot"] == frame["shot"]:
-                    return tracks.RECORD.read(record, "track"), begin_s
+                track = json.loads(line)
+                if track["shot"] == shot[0].shot:
+                    recording.add("tracks", line)
+                    return tracks.RECORD.read(track, "track"), begin_s
         except queue.Empty:
             return None, begin_s
         sys.exit("grasp: the lines have ended: see the message of ringpose pose")
@@ -228,11 +266,12 @@ def main():
     parser.add_argument("--distance-m", type=float, default=1.0, help="of the ring's face at the start")
     parser.add_argument("--share", type=float, default=1.0, help="size of the pictures, as a share of 1600 x 1200")
     parser.add_argument("--floating", action="store_true", help="the base floats freely")
+    parser.add_argument("--record", action="store_true", help="keep the shots and lines of the run, for ringpose view")
     given = parser.parse_args()
     if given.do == "prepare":
         prepare(given.folder, given.seed, given.distance_m, given.share)
         return 0
-    return run(given.folder, given.address, given.seed, given.floating)
+    return run(given.folder, given.address, given.seed, given.floating, record=given.record)
 
 
 if __name__ == "__main__":

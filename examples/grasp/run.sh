@@ -1,5 +1,6 @@
 #!/bin/sh
-# Grasps the ring of a tumbling satellite on the platform: sh run.sh DIR [--seed N] [--floating] [--distance-m D] [--share S]
+# Grasps the ring of a tumbling satellite on the platform:
+# sh run.sh DIR [--seed N] [--floating] [--distance-m D] [--share S] [--record]
 set -e
 here=$(dirname "$0") dir=$1
 shift

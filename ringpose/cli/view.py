@@ -17,6 +17,7 @@ from ringpose.types.options import PoseFrame
 
 if TYPE_CHECKING:
     from ringpose.console.replay import ReplayCloud, ReplayShot
+    from ringpose.geometry.camera_motion import CameraMotion
     from ringpose.types.arrays import Array, Float64
     from ringpose.types.image import Shot
     from ringpose.types.pose import PoseLine
@@ -60,6 +61,8 @@ def view(
     from ringpose.files.records.tracks import pose_line_of_track
     from ringpose.files.records.truths import read_truths
     from ringpose.files.rigs import read_rig
+    from ringpose.geometry.camera_motion import CameraMotion
+    from ringpose.types.rig import NO_ROBOT_POSES
 
     if html is not None:
         atomic.reject_existing(html, force)
@@ -69,7 +72,12 @@ def view(
     cloud = None if points is None else ReplayCloud(cloud=read_point_cloud(points, MAX_POINTS))
     if cloud is not None and cloud.cloud.thinned_by > 1:
         messages.echo(f"{points}: one point in {cloud.cloud.thinned_by} is shown")
-    place = _place_in_cloud(cloud, loaded_rig, rig, robot_poses, robot_convention, robot_columns, inputs)
+    if cloud is not None:
+        check_frame(cloud.cloud.frame, loaded_rig, rig, robot_poses)
+    motion = camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns)
+    if motion is None and loaded_rig.mount is not None:
+        motion = CameraMotion(poses=NO_ROBOT_POSES, mount=loaded_rig.mount)
+    place = _place_in_cloud(cloud, motion)
     truths = {} if truth is None else {each.shot: each for each in read_truths(truth)}
     batch = Batch()
     lines = _lines_by_shot(poses or [], loaded_rig, batch, pose_line_of, "pose")
@@ -82,7 +90,11 @@ def view(
             shot = read_shot(path_of_input(item), channel, loaded_rig)
             shown = _replay_shot(shot, loaded_rig, lines.get(shot.name), truths.get(shot.name))
             shots.append(
-                replace(shown, track=tracked.get(shot.name), camera_from_cloud=place(shot.name, shot.measured_at_s))
+                replace(
+                    shown,
+                    track=_in_camera_frame(tracked.get(shot.name), motion),
+                    camera_from_cloud=place(shot.name, shot.measured_at_s),
+                )
             )
     in_cloud = () if cloud is None or not cloud.by_shot else cloud.cloud.shots
     _check_names(
@@ -110,25 +122,12 @@ MAX_POINTS = 30_000
 
 
 def _place_in_cloud(
-    cloud: "ReplayCloud | None",
-    rig: "Rig",
-    rig_file: Path,
-    robot_poses: str | None,
-    convention: str | None,
-    columns: str | None,
-    inputs: list[str],
+    cloud: "ReplayCloud | None", motion: "CameraMotion | None"
 ) -> "Callable[[str, float], Float64[Array, '4 4'] | None]":
     """A function that returns the pose of the cloud's frame in the camera frame of a shot; None if it is not known."""
     import numpy as np
 
-    from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.types.rig import NO_ROBOT_POSES
-
     frame = PoseFrame.CAMERA if cloud is None else cloud.cloud.frame
-    check_frame(frame, rig, rig_file, robot_poses)
-    motion = camera_motion(robot_poses, rig_file, inputs, convention, columns)
-    if motion is None and rig.mount is not None:
-        motion = CameraMotion(poses=NO_ROBOT_POSES, mount=rig.mount)
 
     def camera_from_cloud(shot: str, stamp_s: float) -> "Float64[Array, '4 4'] | None":
         if cloud is None:
@@ -142,6 +141,26 @@ def _place_in_cloud(
         return np.linalg.inv(where[0])
 
     return camera_from_cloud
+
+
+def _in_camera_frame(track: "PoseLine | None", motion: "CameraMotion | None") -> "PoseLine | None":
+    """A track where the camera sees it at its time; without its ring if the robot's pose is not known then."""
+    import numpy as np
+
+    from ringpose.pose.transform import pose_in_frame, velocity_in_frame
+
+    if track is None or track.pose is None or track.frame is PoseFrame.CAMERA:
+        return track
+    where = None if motion is None else motion.in_frame(track.frame, track.pose_stamp_s)
+    if where is None:
+        return replace(track, pose=None, velocity=None)
+    camera_from_base, velocity = np.linalg.inv(where[0]), track.velocity
+    return replace(
+        track,
+        frame=PoseFrame.CAMERA,
+        pose=pose_in_frame(track.pose, camera_from_base),
+        velocity=None if velocity is None else velocity_in_frame(velocity, track.pose, camera_from_base),
+    )
 
 
 def _lines_by_shot(

@@ -7,6 +7,7 @@ from typing import Any
 from ringpose.files.records.codec import RecordType
 from ringpose.files.records.poses import pose_record, status_rules
 from ringpose.files.schema import TRACK_LINE
+from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseLine
 from ringpose.types.track import TrackLine
 
@@ -33,18 +34,17 @@ def line_record(line: PoseLine | TrackLine, brief: bool = False) -> dict[str, An
 def pose_line_of_track(record: Mapping[str, Any], location: str) -> PoseLine:
     """A track record as a pose line, with the keys that both have; its reason states validity and fusion status.
 
-    The shot is the newest that was measured, empty for an instant between measurements. A track in the frame of the
-    robot's base has no pose here.
+    The shot is the newest that was measured, empty for an instant between measurements.
     """
     line = RECORD.read(record, location)
-    in_camera = line.frame == "camera"
     return PoseLine(
         shot=line.shot,
         stamp_s=line.stamp_s,
         pose_stamp_s=line.stamp_s,
         flags=line.flags,
         reason=f"{line.validity}, {line.fusion_status}",
-        pose=replace(line.pose, flags=line.flags) if in_camera and line.pose is not None else None,
-        velocity=line.velocity if in_camera else None,
+        frame=PoseFrame(line.frame),
+        pose=None if line.pose is None else replace(line.pose, flags=line.flags),
+        velocity=line.velocity,
         rig=line.rig,
     )
