@@ -61,8 +61,6 @@ def view(
     from ringpose.files.records.tracks import pose_line_of_track
     from ringpose.files.records.truths import read_truths
     from ringpose.files.rigs import read_rig
-    from ringpose.geometry.camera_motion import CameraMotion
-    from ringpose.types.rig import NO_ROBOT_POSES
 
     if html is not None:
         atomic.reject_existing(html, force)
@@ -72,11 +70,8 @@ def view(
     cloud = None if points is None else ReplayCloud(cloud=read_point_cloud(points, MAX_POINTS))
     if cloud is not None and cloud.cloud.thinned_by > 1:
         messages.echo(f"{points}: one point in {cloud.cloud.thinned_by} is shown")
-    if cloud is not None:
-        check_frame(cloud.cloud.frame, loaded_rig, rig, robot_poses)
-    motion = camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns)
-    if motion is None and loaded_rig.mount is not None:
-        motion = CameraMotion(poses=NO_ROBOT_POSES, mount=loaded_rig.mount)
+    check_frame(PoseFrame.CAMERA if cloud is None else cloud.cloud.frame, loaded_rig, rig, robot_poses)
+    motion = camera_motion(robot_poses, rig, inputs, robot_convention, robot_columns) or _at_rest(loaded_rig)
     place = _place_in_cloud(cloud, motion)
     truths = {} if truth is None else {each.shot: each for each in read_truths(truth)}
     batch = Batch()
@@ -119,6 +114,14 @@ def view(
 
 MAX_POINTS = 30_000
 """Largest number of points that is shown: a browser without a GPU draws them in a tenth of a second."""
+
+
+def _at_rest(rig: "Rig") -> "CameraMotion | None":
+    """The camera by its mount alone, without poses of the robot; None without a mount."""
+    from ringpose.geometry.camera_motion import CameraMotion
+    from ringpose.types.rig import NO_ROBOT_POSES
+
+    return None if rig.mount is None else CameraMotion(poses=NO_ROBOT_POSES, mount=rig.mount)
 
 
 def _place_in_cloud(

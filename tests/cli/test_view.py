@@ -8,6 +8,7 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from ringpose.cli.main import main
 
@@ -85,6 +86,30 @@ def test_a_replay_has_the_track_of_each_shot(data_set, one_shot, poses, tmp_path
     dotted = [stroke for stroke in elements_of(shot, "lines")[0]["strokes"] if stroke["dash"] == "dotted"]
     np.testing.assert_allclose(dotted[0]["center_m"], line["pose"]["center_m"], rtol=1e-12)
     assert ["track", f"{line['validity']}, {line['fusion_status']}"] in shot["texts"]
+
+
+def test_a_track_in_the_base_frame_is_shown_where_the_camera_sees_it(data_set, one_shot, tmp_path, capsys):
+    page, tracks, robot, rig = (tmp_path / name for name in ("v.html", "tracks.jsonl", "robot.jsonl", "rig.yaml"))
+    mounted = yaml.safe_load((data_set / "rig.yaml").read_text())
+    mounted["mount"] = {"tool_from_camera": [[0, -1, 0, 0.1], [1, 0, 0, 0], [0, 0, 1, 0.05], [0, 0, 0, 1]]}
+    rig.write_text(yaml.safe_dump(mounted))
+    assert main(["pose", one_shot, "--rig", str(rig)]) == 0
+    in_camera = json.loads(capsys.readouterr().out)
+    turned = {"position_m": [1.0, 2.0, 3.0], "orientation_xyzw": [0.5, -0.5, 0.5, 0.5]}
+    stamps_s = (in_camera["stamp_s"] + np.linspace(-1.0, 1.0, 21)).tolist()
+    robot.write_text("".join(json.dumps({"stamp_s": each, "base_from_tool": turned}) + "\n" for each in stamps_s))
+    assert main(["pose", "--track", one_shot, "--rig", str(rig), "--robot-poses", str(robot)]) == 0
+    tracks.write_text(capsys.readouterr().out)
+    words = ["view", one_shot, "--rig", str(rig), "--tracks", str(tracks), "--html", str(page), "--quiet", "--force"]
+
+    def shown():
+        (shot,) = data_of(page)["shots"]
+        return [stroke for stroke in elements_of(shot, "lines")[0]["strokes"] if stroke["dash"] == "dotted"]
+
+    assert main([*words, "--robot-poses", str(robot)]) == 0
+    np.testing.assert_allclose(shown()[0]["center_m"], in_camera["pose"]["center_m"], atol=0.01)
+    assert main(words) == 0
+    assert shown() == []
 
 
 def test_a_replay_without_poses_shows_the_detection(data_set, one_shot, tmp_path):
