@@ -253,7 +253,7 @@ class StepParams:
 
     flat: float = TINY
     """Smallest second difference of the cost at a minimum."""
-    touched_px: float = OUTSIDE_PX
+    touched_px: float = float(OUTSIDE_PX)
     """A profile with a saturated sample closer than this to the step is rejected: it hides the intensity beyond."""
     spacing_px: float = PLACES
     """Distance between the step positions that are tried."""

@@ -33,12 +33,12 @@ from ringpose.detect.edge_search import (
 )
 from ringpose.detect.motion import RingMotion, moved_to
 from ringpose.detect.rim import parallel_in_front
-from ringpose.estimate.explanation import SIDE_SIGMAS, decision
+from ringpose.estimate.explanation import decision
 from ringpose.estimate.factors.edges import edges_of
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.measurements import measurements_of
 from ringpose.estimate.ring_estimate import STRIPES_OF_A_PLANE
-from ringpose.estimate.solver import ALARM_SIGMAS, OUTLIER_SIGMAS
+from ringpose.estimate.solver import ALARM_SIGMAS, CERTAIN_SIGMAS, OUTLIER_SIGMAS
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.least_squares import STD_PER_MAD
 from ringpose.geometry.rays import undistorted_rays
@@ -362,7 +362,7 @@ def named_by_curvature(break_points: BreakPoints, edges: Sequence[FoundEdges]) -
     points = parts[0] if len(parts) == 1 else joined_edge_points(parts)
     side_sigmas = max((each.side_sigmas for each in edges), key=lambda each: np.nan_to_num(abs(each)))
     unknown = int(BreakPointFlag.EDGE_UNKNOWN)
-    if not np.any(break_points.flags & unknown) or not abs(side_sigmas) >= SIDE_SIGMAS:
+    if not np.any(break_points.flags & unknown) or not abs(side_sigmas) >= CERTAIN_SIGMAS:
         return break_points, points
     named = replace(break_points, flags=break_points.flags & ~unknown)
     if side_sigmas > 0:

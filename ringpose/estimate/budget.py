@@ -13,12 +13,9 @@ from ringpose.estimate.linearization import PARAMETERS
 from ringpose.estimate.nuisance import EXACT, FORM_PARAMETERS, covariance_root, rig_errors, total_covariance
 from ringpose.estimate.ring_estimate import Estimate
 from ringpose.estimate.separation import directions_of
-from ringpose.estimate.solver import RIDGE
+from ringpose.estimate.solver import PRECISE_SIGMAS, RIDGE
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.rig import ParameterCovariance
-
-LAST_STEP = 1e-6
-"""Share by which the covariance, which is that of the last step but one, differs from that at the solution."""
 
 DELAY = "mount.delay"
 """The mount's parameter that is the clock's."""
@@ -44,7 +41,7 @@ def error_budget(
     to_quantities[2:4, joint.TILTS], to_quantities[4:7, joint.CENTER] = np.eye(2), np.eye(3)
     total, before = (to_quantities @ each @ to_quantities.T for each in (reported, inflated))
     contradiction = before - linear
-    if (np.abs(contradiction.diagonal()) < LAST_STEP * linear.diagonal()).all():
+    if (np.abs(contradiction.diagonal()) < PRECISE_SIGMAS * linear.diagonal()).all():  # that of the last step but one
         sources["image_noise"] = sources["image_noise"] + contradiction
     else:
         sources["contradiction"] = contradiction

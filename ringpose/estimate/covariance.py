@@ -11,6 +11,7 @@ import numpy as np
 
 from ringpose.estimate.linearization import PARAMETERS
 from ringpose.estimate.ring_estimate import Estimate
+from ringpose.estimate.solver import UNKNOWN_FROM as UNKNOWN_FROM
 from ringpose.geometry.ring import (
     CURVATURE,
     HALF_BAND,
@@ -44,22 +45,12 @@ OFFSET, CURVATURE_OUT, BAND_OUT = map(JOINT.index, ("offset", "curvature", "band
 EDGE_ON_BELOW = 0.01
 """Sine of the smallest angle between the line of sight and the ring's plane: 0.6 degrees."""
 
-TILT_SD_LIMIT_RAD = 0.5
-"""Standard deviation of the normal's direction (30 degrees) from which the points lie on a line within their errors.
-
-Long before, the lever of the radius makes the centre weak, which is flagged.
-"""
-
 WEAK_SD = 0.05
 """Standard deviation of the centre, or of a radius, in radii, from which it is flagged as weak.
 
 The centre follows from the height of the arc, and its distance is the inverse of that height. At 5 % the truth is
 within 5 of the first-order standard deviations in all but one of 30 000 cases, at 10 % in all but one of 2000.
 """
-
-UNKNOWN_FROM = 0.5
-"""Relative standard deviation of the curvature from which the centre is not determined at all: the inverse of a
-curvature that may be zero within two standard deviations has no finite error."""
 
 GRASP_UNKNOWN_FROM_M = 0.01
 """Standard deviation of the grasp point, or of the band's width, from which the grasp point is not determined."""

@@ -11,27 +11,19 @@ from math import atan2, inf, isfinite
 import numpy as np
 
 from ringpose.estimate.covariance import differing_quantities
+from ringpose.estimate.factors.edges import TERMS
 from ringpose.estimate.factors.prior import Prior
-from ringpose.estimate.hypotheses import EDGE_NUMBERS, Explanation
+from ringpose.estimate.hypotheses import Explanation
 from ringpose.estimate.linearization import PARAMETERS, ring_residuals
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.ring_estimate import Estimate, estimate_ring, precise_ring
 from ringpose.estimate.selection import Search, explained_as_named
-from ringpose.estimate.solver import PRECISE_SIGMAS, initial_guess
+from ringpose.estimate.solver import CERTAIN_SIGMAS, NEAR_SIGMAS, PRECISE_SIGMAS, initial_guess
 from ringpose.geometry.ring import CURVATURE, EDGE_SIGN, HALF_BAND, RingArcs, motion_derivatives, rotation_by
 from ringpose.geometry.rotations import cross
 from ringpose.types.detection import JudgedRing, Rejection
 from ringpose.types.finding import Finding
 from ringpose.types.pose import KnownRadii
-
-DECISION_CHI2 = 0.1
-"""Change of chi-squared from that of a decision to that of a pose from which the decision is repeated."""
-
-SIDE_SIGMAS = 4.0
-"""Curvature in standard deviations, or root of the margin in chi-squared, from which the centre's side is known."""
-
-RADIUS_SIGMAS = 4.5
-"""Difference in standard deviations from which assumed radii contradict the ring that a shot shows by itself."""
 
 
 def explain(
@@ -61,7 +53,7 @@ def explain(
     estimate: Estimate | None = best.estimate
     if best.estimate.distance_sigmas >= PRECISE_SIGMAS:
         estimate = precise_ring(best.estimate)
-    if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < DECISION_CHI2:
+    if estimate is not None and abs(estimate.chi2 - best.estimate.chi2) < NEAR_SIGMAS:
         best = replace(best, estimate=estimate)
     else:  # the shorter iteration had ended near a saddle point
         best = _decided(measured, prior, guess, search._replace(tolerance_sigmas=PRECISE_SIGMAS))
@@ -100,8 +92,8 @@ def _with_other_tilt(best: Explanation) -> Explanation:
     other = estimate_ring(measured, best.prior, start)
     if other is None or not differing_quantities(estimate, other):
         return best
-    of_both = [each.chi2 + EDGE_NUMBERS * float(np.square(each.edge_residuals).mean()) for each in (estimate, other)]
-    if abs(of_both[1] - of_both[0]) > SIDE_SIGMAS**2:
+    of_both = [each.chi2 + TERMS * float(np.square(each.edge_residuals).mean()) for each in (estimate, other)]
+    if abs(of_both[1] - of_both[0]) > CERTAIN_SIGMAS**2:
         return best if of_both[0] < of_both[1] else replace(best, estimate=other)
     first, second = (estimate, other) if of_both[0] <= of_both[1] else (other, estimate)
     return replace(best, estimate=first, competing=(*best.competing, second))
@@ -170,7 +162,7 @@ def _contradicts(alone: Estimate, radii: KnownRadii) -> bool:
         wrt_step = np.zeros(PARAMETERS)
         wrt_step[CURVATURE], wrt_step[HALF_BAND] = (arcs.mean_radius_m / radius_m) ** 2, -sign / radius_m**2
         variance = float(wrt_step @ alone.inverse @ wrt_step) + (sd_m / assumed_m**2) ** 2
-        if (1.0 / radius_m - 1.0 / assumed_m) ** 2 > RADIUS_SIGMAS**2 * variance:
+        if (1.0 / radius_m - 1.0 / assumed_m) ** 2 > CERTAIN_SIGMAS**2 * variance:
             return True
     return False
 
@@ -183,19 +175,19 @@ def _better_side(measured: Measurements, prior: Prior, guess: RingArcs | None, s
         curvature, sd = best.estimate.curvature_alone
         # with unknown rates, both sides may explain a shot with a significant curvature each
         compared = len(best.estimate.residuals.rate_sds) and not len(measured.edges.edge) and not edges_named
-        if curvature > (-SIDE_SIGMAS if edges_named else SIDE_SIGMAS) * sd and not compared:
+        if curvature > (-CERTAIN_SIGMAS if edges_named else CERTAIN_SIGMAS) * sd and not compared:
             return best
         if not compared and _is_unique(best) and (curvature >= 0 or not search.for_pose):
             # with its edges exchanged this would be the same ring, with the opposite curvature
-            return replace(best, edges_exchanged=curvature < 0, side_known=abs(curvature) > SIDE_SIGMAS * sd)
-    max_score = inf if best is None else _side_score(best) + SIDE_SIGMAS**2
+            return replace(best, edges_exchanged=curvature < 0, side_known=abs(curvature) > CERTAIN_SIGMAS * sd)
+    max_score = inf if best is None else _side_score(best) + CERTAIN_SIGMAS**2
     other = explained_as_named(measured.with_edges_exchanged(), prior, search, max_score=max_score)
     other = None if other is None else replace(other, edges_exchanged=True)
     if best is None or other is None:
         only = best or other
         return None if only is None else replace(only, side_known=False)
     first, second = sorted((best, other), key=_side_score)
-    clear = _side_score(second) - _side_score(first) > SIDE_SIGMAS**2
+    clear = _side_score(second) - _side_score(first) > CERTAIN_SIGMAS**2
     side_known = clear and not (edges_named and first.edges_exchanged)
     if clear:
         return replace(first, side_known=side_known)

@@ -11,7 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.estimate.factors.prior import Prior
-from ringpose.estimate.hypotheses import MIN_DEVIATION_M, WIDER_BY
+from ringpose.estimate.hypotheses import (
+    END_PROBABILITY,
+    MIN_DEVIATION_M,
+    PLANE_PROBABILITY,
+    RADIUS_PROBABILITY,
+    STRIPE_PROBABILITY,
+    WIDER_BY,
+)
 from ringpose.estimate.linearization import FixedColumns, Residuals
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import form_amplitude_m, rig_errors, rig_jacobian
@@ -21,28 +28,9 @@ from ringpose.types.assumptions import TYPICAL_STABILITY
 from ringpose.types.detection import UNLABELLED
 from ringpose.types.rig import laser_parameters
 
-END_PROBABILITY = 3e-3
-"""Probability that a break point is not on the edge of the face but somewhere else on its stripe: of 308 ends of 59
-rendered shots one was, before anything was rejected (`tests/benchmarks/fault_priors.py`). The same that the visible
-points of an edge are of something else."""
-
-BOTH_ENDS_PROBABILITY = 3e-3
-"""Probability that both of a stripe are: one occluder, or a surface that continues the face; 1 of 165 stripes (95 %
-interval 0.0002 to 0.03). With twice as much, 90 instead of 97 % of drawn shots have levels below 5 mm and 3 degrees."""
-
-STRIPE_PROBABILITY = 1.2e-2
-"""Probability that a stripe is on another surface, a ghost or a reflection; 2 of 165 stripes, of the same shots. Half
-of it is that of a layer of `LAYERS`, from which its ends come too."""
-
-PLANE_PROBABILITY = 1e-4
-"""Probability that a light plane has moved since the calibration by more than its stability: no picture tells."""
-
 PRIOR_PROBABILITY = 1e-2
 """Probability that the target moves more, or the ring is less round or flat, than the prior admits. These priors are
 statements of the user; a normal distribution is exceeded by 2.6 standard deviations as often."""
-
-RADIUS_PROBABILITY = 1e-3
-"""Probability that the assumed radii are those of another ring."""
 
 END_SD_PX = 10.0
 """Displacement of a wrong end along its stripe; small ones are dangerous, as large ones contradict the rest."""
@@ -50,12 +38,12 @@ END_SD_PX = 10.0
 BOTH_ENDS_SD_PX = 30.0
 """Displacement of the ends of a stripe on another surface."""
 
-SURFACE_DISTANCE_SD_M, SURFACE_TILT_SD_RAD = 0.05, 0.05
-"""Distance of that surface from the face, and the angle between them: what is built is mostly parallel."""
+SURFACE_TILT_SD_RAD = 0.05
+"""Angle between that surface and the face: what is built is mostly parallel."""
 
 LAYERS = {"near": 0.008, "far": 0.05}
 """Distances of a parallel layer, metres (standard deviations, one for each order of magnitude): its ends are those of
-the face's shadow, which looks like the face there."""
+the face's shadow, which looks like the face there. The farther one is also that of a surface that is not parallel."""
 
 PLANE_TILT_SD_RAD, PLANE_DISTANCE_SD_M = 5e-3, 5e-4
 """Change of a light plane that has moved: its projector was knocked, 0.1 m beside the camera."""
@@ -109,13 +97,13 @@ def _wrong_stripes(measured: Measurements, residuals: Residuals) -> Iterator[Fau
     """
     points, lines = measured.points, measured.lines
     per_sigma = _per_sigma(measured, BOTH_ENDS_SD_PX)
-    sds = np.array([SURFACE_DISTANCE_SD_M, SURFACE_TILT_SD_RAD, SURFACE_TILT_SD_RAD])
+    sds = np.array([LAYERS["far"], SURFACE_TILT_SD_RAD, SURFACE_TILT_SD_RAD])
     for laser in measured.lasers:
         ends = np.array(sorted(set(points.ends[points.laser == laser].tolist())))
         columns = np.zeros((len(residuals.residual), len(ends) + 3))
         columns[_point_rows(measured), : len(ends)] = np.where(points.ends[:, None] == ends, per_sigma[:, None], 0.0)
         if len(ends) > 1:
-            yield Fault(f"ends {laser}", BOTH_ENDS_PROBABILITY, columns[:, : len(ends)], laser)
+            yield Fault(f"ends {laser}", END_PROBABILITY, columns[:, : len(ends)], laser)
         of_line = np.flatnonzero(np.repeat(lines.laser == laser, 2))
         columns[of_line, len(ends) :] = residuals.jacobian[of_line][:, [LIFT, TILT_INWARD, TILT_ALONG]] * sds
         yield Fault(f"stripe {laser}", STRIPE_PROBABILITY / 2.0, columns, laser)

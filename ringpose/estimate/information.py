@@ -12,7 +12,7 @@ from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.linearization import PARAMETERS
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import FACE_SLOPE, FORM_PARAMETERS, form_amplitude_m, rig_errors, rig_jacobian
-from ringpose.estimate.ring_estimate import Estimate
+from ringpose.estimate.ring_estimate import STRIPES_OF_A_PLANE, Estimate
 from ringpose.estimate.solver import RIDGE
 from ringpose.geometry.ring import public_wrt_rates
 from ringpose.types.arrays import Array, Float64
@@ -99,10 +99,6 @@ def _public_jacobian(estimate: Estimate, values: Quantities) -> Float64[Array, "
     return jacobian
 
 
-REDUNDANT_STRIPES = 3
-"""Stripes from which a single shot shows an error of the rig."""
-
-
 def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence | None:
     """What a shot shows about the rig's parameters; None if it leaves parameters of the ring open.
 
@@ -110,7 +106,7 @@ def plane_evidence(estimate: Estimate, measured: Measurements) -> PlaneEvidence 
     eliminated with their priors: the Schur complement of section 9. The form is among q, too: where shots show the same
     arc, they have it in common.
     """
-    if estimate.prior.regularize_about is not None or len(measured.stripes) < REDUNDANT_STRIPES:
+    if estimate.prior.regularize_about is not None or len(measured.stripes) <= STRIPES_OF_A_PLANE:
         return None
     errors = rig_errors(measured.rig, TYPICAL_STABILITY)
     if errors is None:

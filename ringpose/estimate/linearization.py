@@ -29,7 +29,7 @@ from ringpose.geometry.ring import (
     predicted_view,
 )
 from ringpose.types.arrays import Array, Bool, Float64, Int64
-from ringpose.types.plausible import RING_RADIUS_M
+from ringpose.types.plausible import RING_RADIUS_M, TARGET_DISTANCE_M
 from ringpose.types.rig import Rig
 
 if TYPE_CHECKING:
@@ -203,9 +203,6 @@ PARAMETERS = len(STEP)
 MIN_SIGMA_PX = 1e-4
 """Lower bound of all standard deviations: smaller ones would make the normal equations ill-conditioned."""
 
-MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 1e3
-"""Bounds of the plane's distance; beyond them the iteration has diverged."""
-
 MAX_TILT_RAD = 0.7
 """Largest tilt in one iteration."""
 
@@ -264,7 +261,7 @@ def retract_ring(residuals: Residuals, step: Float64[Array, "step=7"], rate_step
     step = step * (MAX_TILT_RAD / largest) if largest > MAX_TILT_RAD else step
     moved = arcs.retract(step)
     depth_m = -float(arcs.axes[2] @ moved.origin)
-    possible = MIN_DEPTH_M < depth_m < MAX_DEPTH_M and abs(moved.curvature) * RING_RADIUS_M.lowest < 1.0
+    possible = 0.0 < depth_m < TARGET_DISTANCE_M.highest and abs(moved.curvature) * RING_RADIUS_M.lowest < 1.0
     if not (possible and all(map(isfinite, step.tolist()))):
         raise np.linalg.LinAlgError("the iteration diverges")
     if len(rate_step):

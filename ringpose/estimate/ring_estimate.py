@@ -19,6 +19,7 @@ from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.nuisance import nuisance_columns
 from ringpose.estimate.solver import (
     ALARM_SIGMAS,
+    CERTAIN_SIGMAS,
     NEAR_SIGMAS,
     OUTLIER_SIGMAS,
     PRECISE_SIGMAS,
@@ -316,9 +317,6 @@ def _inverse(normal_matrix: Float64[Array, "7 7"]) -> Float64[Array, "7 7"]:
 
 # Whether the measurements agree
 
-SUSPICIOUS_REDUCTION = 20.0
-"""Reduction of chi-squared by leaving out one number from which a shot is examined: one shot in ten thousand."""
-
 MAX_EDGE_MEAN_SQUARE = 2.0
 """Mean square of the whitened edge residuals from which visible edges contradict the rest. The standard deviations are
 those of the fit to all measurements: 150 drawn shots without outliers have at most 1.05."""
@@ -329,7 +327,7 @@ MIN_FREEDOM = 0.1
 
 def is_suspicious(estimate: Estimate) -> bool:
     """Whether the measurements contradict each other, or the ring would fit much better without one of its numbers."""
-    return contradicts_itself(estimate) or estimate.largest_reduction > SUSPICIOUS_REDUCTION
+    return contradicts_itself(estimate) or estimate.largest_reduction > CERTAIN_SIGMAS**2
 
 
 def contradicts_itself(estimate: Estimate) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ringpose.estimate import covariance as joint
 from ringpose.estimate.covariance import Quantities
-from ringpose.estimate.faults import MAX_COLUMNS, Fault, faults_of
+from ringpose.estimate.faults import Fault, faults_of
 from ringpose.estimate.hypotheses import Explanation
 from ringpose.estimate.linearization import PARAMETERS, ring_residuals
 from ringpose.estimate.nuisance import common_errors, nuisance_columns
@@ -145,10 +145,6 @@ def directions_of(values: Quantities, parameters: int) -> Float64[Array, "quanti
     return directions
 
 
-PADDED_TO = (2, 5, 12, 2 * MAX_COLUMNS)
-"""Numbers of columns to which those of a hypothesis are filled up, so that all with as many are solved at once."""
-
-
 class _Hypotheses(NamedTuple):
     """Sets of faults, the accepted one first, and the places of their columns among those of all faults."""
 
@@ -179,11 +175,8 @@ def _hypotheses(
             sets[first, second] = probability
     places = [range(end - width, end) for end, width in zip(accumulate(widths), widths, strict=True)]
     columns = [[place for fault in faults for place in places[fault]] for faults in sets]
-    batches, least = [], 0
-    for width in (*PADDED_TO, sum(widths)):
-        which = [number for number, own in enumerate(columns) if least < len(own) <= width]
-        if which:
-            own = [[*columns[number], *[sum(widths)] * (width - len(columns[number]))] for number in which]
-            batches.append((np.array(which), np.array(own)))
-        least = width
+    batches = []
+    for width in sorted({len(own) for own in columns} - {0}):  # all with as many columns are solved at once
+        which = [number for number, own in enumerate(columns) if len(own) == width]
+        batches.append((np.array(which), np.array([columns[number] for number in which])))
     return _Hypotheses(tuple(sets), np.log(list(sets.values())), tuple(batches))

@@ -44,6 +44,16 @@ break point or visible edge point counts linearly while the iteration approaches
 OUTLIER_SIGMAS = 3.5
 """Visible edge points with a larger residual near the solution are rejected: one in two thousand by chance."""
 
+CERTAIN_SIGMAS = 4.5
+"""Limit, as a normal quantile, for what each shot is asked and a wrong answer costs much, three in a million by chance:
+the side of the centre, radii that contradict the assumed ones, one number that contradicts all others, a ghost that a
+frame does not show by itself."""
+
+UNKNOWN_FROM = 0.5
+"""Relative standard deviation of the curvature from which the centre is not determined at all: the inverse of a
+curvature that may be zero within two standard deviations has no finite error. The same for the normal, in radians: the
+points then lie on a line within their errors. Long before, the lever of the radius makes the centre weak."""
+
 MAX_ITERATIONS = 20
 
 MIN_RATIO, MAX_EXTRAPOLATED = 0.002, 0.5
@@ -95,12 +105,12 @@ def linearized_at(residuals: Residuals, prior: Prior, errors: Float64[Array, "er
 
 
 def poorly_determined(covariance: Float64[Array, "7 7"], factor: float = 1.0) -> bool:
-    """Whether tilt or in-plane rotation are left to more than 0.5 rad, or curvature to more than 1/m (sigmas).
+    """Whether tilt or in-plane rotation are left to more than `UNKNOWN_FROM`, or curvature to more than 1/m (sigmas).
 
     The weak priors of `Prior.rows` have about these standard deviations. `factor` multiplies the variances.
     """
     variance = covariance.diagonal().tolist()
-    return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > 0.25 * factor) or bool(
+    return bool(max(variance[TILT_INWARD], variance[TILT_ALONG], variance[TURN]) > factor * UNKNOWN_FROM**2) or bool(
         variance[CURVATURE] > factor
     )
 
@@ -214,9 +224,6 @@ def _step(
 
 # The ring from which an iteration starts where no other is known
 
-MIN_LENGTH_M = 1e-9
-"""A shorter vector has no direction."""
-
 
 def initial_guess(measured: Measurements, prior: Prior) -> RingArcs | None:
     """The plane of the stripes, and a ring of typical size on it; None if the plane is not in front of the camera.
@@ -255,7 +262,7 @@ def initial_guess(measured: Measurements, prior: Prior) -> RingArcs | None:
     curvature, half_band_m = _expected_size(points, points_m @ outward, prior)
     if not described.all():  # a circle through the origin, with its centre inward, and the mean point of the other arc
         chord_m = points_m[~described].mean(axis=0) - origin
-        curvature = -2.0 * float(chord_m @ outward) / max(float(chord_m @ chord_m), MIN_LENGTH_M**2)
+        curvature = -2.0 * float(chord_m @ outward) / max(float(chord_m @ chord_m), TINY)
     return RingArcs(
         origin=origin,
         axes=np.array([-outward, across @ -outward, normal]),
@@ -295,9 +302,9 @@ def _outward_direction(
     described = points.described
     first, last = np.flatnonzero(described)[[0, -1]].tolist()
     direction = ((2.0 * points.edge - 1.0) * (points.x - points.middle_x) * described) @ points_wrt_x
-    if float(direction @ direction) < MIN_LENGTH_M**2:  # no stripe has a length: across the row of break points
+    if float(direction @ direction) < TINY:  # no stripe has a length: across the row of break points
         direction = across @ (points_m[last] - points_m[first])
-    if float(direction @ direction) < MIN_LENGTH_M**2:  # a single point: along its stripe
+    if float(direction @ direction) < TINY:  # a single point: along its stripe
         direction = points_wrt_x[first]
     direction = direction - (direction @ normal) * normal
     unit: Float64[Array, "3"] = direction / np.sqrt(direction @ direction)

@@ -13,6 +13,7 @@ from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.linearization import PARAMETERS
 from ringpose.estimate.measurements import Measurements
 from ringpose.estimate.ring_estimate import DECISION_SIGMAS, STRIPES_OF_A_PLANE, Estimate, estimate_ring
+from ringpose.types.arrays import EDGES
 from ringpose.types.assumptions import Assumptions
 
 BACKGROUND_RANGE_PX = (150.0, 30.0, 100.0)
@@ -21,9 +22,6 @@ BACKGROUND_RANGE_PX = (150.0, 30.0, 100.0)
 LINEAR_SIGMAS = 100.0
 """Standard deviation of a predicted number, in those of the measured one, from which its error is not linear and does
 not count: with more, the prediction of right stripes by visible edges is often missed."""
-
-BOTH_ARCS = 4
-"""Ends of a stripe that crosses both arcs."""
 
 
 def single_stripe_estimates(
@@ -109,7 +107,7 @@ def ends_evidence(estimate: Estimate, measured: Measurements) -> float:
     evidence is the end that the others predict best; with fewer than four ends there is none.
     """
     points = measured.points
-    if len(set(points.ends.tolist())) < BOTH_ARCS:
+    if len(set(points.ends.tolist())) < 2 * len(EDGES):  # of a stripe across both arcs
         return -np.inf
     ends = estimate.residuals.observations.view.ends
     rows = slice(ends, ends + len(points.x))

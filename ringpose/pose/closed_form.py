@@ -12,7 +12,7 @@ import numpy as np
 
 from ringpose.estimate.covariance import (
     EDGE_ON_BELOW,
-    TILT_SD_LIMIT_RAD,
+    UNKNOWN_FROM,
     WEAK_SD,
     exceeds_sd,
     standard_deviation,
@@ -109,7 +109,7 @@ def closed_form_pose(
         return undetermined
     form, covariance = form_and_covariance(points, break_points, rig, method)
     residual_rms_px = prediction_rms_px(form, points, break_points, rig)
-    if covariance is not None and standard_deviation(covariance.parameters[:2, :2]) > TILT_SD_LIMIT_RAD:
+    if covariance is not None and standard_deviation(covariance.parameters[:2, :2]) > UNKNOWN_FROM:
         return NoPose.COLLINEAR
     if not math.isfinite(residual_rms_px):
         return NoPose.NOT_FINITE

@@ -16,7 +16,6 @@ from ringpose.estimate.covariance import (
     EDGE_ON_BELOW,
     GRASP,
     GRASP_UNKNOWN_FROM_M,
-    TILT_SD_LIMIT_RAD,
     TILTS,
     UNKNOWN_FROM,
     WEAK_SD,
@@ -31,14 +30,15 @@ from ringpose.estimate.covariance import (
     with_second_order,
     with_unknown_distance,
 )
-from ringpose.estimate.explanation import RADIUS_SIGMAS, explain
+from ringpose.estimate.explanation import explain
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.hypotheses import Explanation
-from ringpose.estimate.information import REDUNDANT_STRIPES, plane_evidence, prior_rows, ring_measurement
+from ringpose.estimate.information import plane_evidence, prior_rows, ring_measurement
 from ringpose.estimate.measurements import Measurements, measurements_of
-from ringpose.estimate.ring_estimate import MIN_FREEDOM, Estimate, edge_mean_square
+from ringpose.estimate.ring_estimate import MIN_FREEDOM, STRIPES_OF_A_PLANE, Estimate, edge_mean_square
 from ringpose.estimate.selection import WIDER
 from ringpose.estimate.separation import solution_separation
+from ringpose.estimate.solver import CERTAIN_SIGMAS
 from ringpose.estimate.stripe_evidence import edge_evidence, ends_evidence
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import GRAZING
@@ -67,7 +67,7 @@ from ringpose.types.rig import Rig
 RIG_SUSPECT = Finding.WRONG_STRIPE | Finding.UNEXPLAINED | WIDER
 """Findings of an explanation for which an error of the rig is an alternative."""
 
-VERIFIED_BELOW = 0.01 / RADIUS_SIGMAS
+VERIFIED_BELOW = 0.01 / CERTAIN_SIGMAS
 """Relative standard deviation of the radius by the shot alone below which an assumed radius counts as verified: an
 error of 1 % then contradicts the shot. With 1 % here, radii up to 4 % off were neither contradicted nor flagged."""
 
@@ -280,7 +280,7 @@ def _confirmed(result: PoseResult, best: Explanation, doubts: Finding) -> PoseRe
     Nothing shows then that they are light of these lasers at all, as any two lines in a photograph lie in a plane, and
     no quantity of the pose could be used. The measurement may still continue the track of a ring.
     """
-    if not doubts & status.NOT_A_RING or len(best.measured.stripes) >= REDUNDANT_STRIPES:
+    if not doubts & status.NOT_A_RING or len(best.measured.stripes) > STRIPES_OF_A_PLANE:
         return result
     return replace(result, pose=NoPose.UNCONFIRMED, velocity=None)
 
@@ -302,7 +302,7 @@ def _unverified(best: Explanation) -> Finding:
     if best.prior.radii is not None:
         curvature, sd = best.estimate.curvature_alone
         findings |= Finding.RADIUS_ASSUMED if not sd < VERIFIED_BELOW * curvature else NOTHING
-    if len(best.measured.stripes) < REDUNDANT_STRIPES:
+    if len(best.measured.stripes) <= STRIPES_OF_A_PLANE:
         findings |= Finding.FEW_STRIPES
     return findings
 
@@ -373,7 +373,7 @@ def _determined(best: Explanation, pose_quantities: Quantities, covariance: Floa
 
     A quantity in which comparable explanations of the shot differ is not determined.
     """
-    normal = standard_deviation(covariance[TILTS, TILTS]) <= TILT_SD_LIMIT_RAD
+    normal = standard_deviation(covariance[TILTS, TILTS]) <= UNKNOWN_FROM
     curvature = best.estimate.arcs.curvature
     curved = sqrt(covariance[CURVATURE_OUT, CURVATURE_OUT]) < UNKNOWN_FROM * curvature
     curved = curved and curvature > 1.0 / MAX_RADIUS_M

@@ -10,7 +10,7 @@ from math import sqrt
 
 import numpy as np
 
-from ringpose.estimate.hypotheses import OUTLIER_PENALTY
+from ringpose.estimate.hypotheses import END_PROBABILITY
 from ringpose.estimate.nuisance import FORM_PARAMETERS, form_amplitude_m
 from ringpose.track.common_errors import CommonErrors
 from ringpose.track.observation import BROAD
@@ -66,7 +66,7 @@ class FormEvidence:
         if len(self.tolerances_m) == 1:
             return self.tolerances_m[0]
         tolerances_m, rows = np.array(self.tolerances_m), self._rows()
-        log_odds = np.full(len(tolerances_m), -0.5 * OUTLIER_PENALTY)
+        log_odds = np.full(len(tolerances_m), np.log(END_PROBABILITY))
         log_odds[0] = 0.0
         for number, tolerance_m in enumerate(self.tolerances_m):
             wrt_errors = rows[:, :-1] @ common.with_tolerance(tolerance_m).root

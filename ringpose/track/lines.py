@@ -9,7 +9,6 @@ import numpy as np
 
 from ringpose.estimate.covariance import (
     GRASP_UNKNOWN_FROM_M,
-    TILT_SD_LIMIT_RAD,
     UNKNOWN_FROM,
     WEAK_SD,
     standard_deviation,
@@ -215,7 +214,7 @@ def _open(reported: _Reported, options: TrackOptions) -> Finding:
     """The quantities whose standard deviations exceed the limits of single shots."""
     findings = NOTHING
     limit_m = WEAK_SD * float(np.abs(reported.value[_RADII]).min())
-    if standard_deviation(reported.capture_covariance()[2:, 2:]) > TILT_SD_LIMIT_RAD:
+    if standard_deviation(reported.capture_covariance()[2:, 2:]) > UNKNOWN_FROM:
         findings |= Finding.NORMAL_OPEN
     if not reported.is_curved or standard_deviation(reported.covariance(_CENTER)) > limit_m:
         findings |= Finding.CENTER_OPEN

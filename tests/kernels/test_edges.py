@@ -145,7 +145,7 @@ def test_profiles_are_means_of_scipys_bilinear_interpolation(dtype, rng):
     )
     np.testing.assert_array_equal(saturated, sampled.max(axis=1) >= 254.5)
     inner = slice(4, -4)
-    variance = uniform_filter1d(np.var(surface, axis=1, ddof=1), 9) + 0.3**2 / 4
+    variance = uniform_filter1d(np.var(surface, axis=1, ddof=1), 9) + 1 / 12 / 4  # of a uniform distribution
     np.testing.assert_allclose(noise_dn[inner], np.sqrt(variance)[inner], rtol=1e-9)
 
 

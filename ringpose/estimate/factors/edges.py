@@ -122,7 +122,7 @@ def no_edges(camera: Camera) -> Edges:
         ray=np.empty((0, 3)),
         step=np.empty((0, 2)),
         wrt_camera=np.empty((0, 2, 4 + len(camera.distortion_coefficients))),
-        common=np.empty((0, ERRORS)),
+        common=np.empty((0, 0)),
         stamp_s=np.empty(0),
     )
 
@@ -156,25 +156,21 @@ CORRELATION_LENGTH_PX = 150.0
 """Correlation length along the edge, estimated from the same edges (100 and 200 are nearly as likely)."""
 
 TERMS = 8
-"""Terms of the series; further ones have less variance than the points' independent errors."""
+"""Terms of the series; further ones have less variance than the points' independent errors. So many independent numbers
+the visible edges count as when explanations are compared."""
 
 FRAME_PX = 0.03
 """Standard deviation of the displacement of an edge in one frame against another, by what shades or passes behind it
 and differs between them; measured on rendered rings with gaps, in the sun, 6 ms apart."""
 
-FRAMES = 2
-"""Number of frames in which the edges of a moving ring are measured."""
-
-ERRORS = 2 * (1 + TERMS + FRAMES)
-"""Number of common errors of a shot: one displacement, the terms of the series and one in each frame, for each edge."""
-
 
 def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
     """Displacement of each point along its normal by common errors of unit variance; 0 for errors of the other edge."""
-    errors = np.zeros((len(edges.edge), 2, ERRORS // 2))
     frame = np.zeros(len(edges.edge), dtype=np.int64)
     if edges.stamp_s is not None:
-        frame = np.minimum(np.unique(edges.stamp_s, return_inverse=True)[1], FRAMES - 1)
+        frame = np.unique(edges.stamp_s, return_inverse=True)[1]
+    # one displacement, the terms of the series, and one in each frame
+    errors = np.zeros((len(edges.edge), len(EDGE_SIGN), 1 + TERMS + 1 + int(frame.max(initial=0))))
     for edge in (0, 1):
         members = np.flatnonzero(edges.edge == edge)
         if len(members):
@@ -185,7 +181,7 @@ def common_errors_px(edges: RingEdgePoints) -> Float64[Array, "visible error"]:
             errors[members, edge, 1 : 1 + TERMS] = (
                 CORRELATED_SHARE * edges.sigma_px[members, None] * karhunen_loeve_terms(along_px)
             )
-    return errors.reshape(len(errors), ERRORS)
+    return errors.reshape(len(errors), -1)
 
 
 def karhunen_loeve_terms(along_px: Float64[Array, "n"]) -> Float64[Array, "n term"]:

@@ -22,14 +22,13 @@ EXPECTED_CURVATURE = 1.5
 """Mean and standard deviation in 1/m of the weak prior where nothing shows the radius: one of 0.3 m has 3.3; the
 largest ring in launcher manuals has 0.76."""
 
-TURN_SD_RAD = 0.5
-"""Weak prior on the angle between the stripes and the radius, if a single stripe has to determine it."""
+ANGLE_SD_RAD = 0.6
+"""Weak prior on the angles between the stripes and the radius, and between the ring's normal and the optical axis, if a
+single stripe leaves them open."""
 
-TILT_SD_RAD = 0.6
-"""Weak prior on the angle between the ring's normal and the optical axis, if a single stripe leaves it open."""
-
-EXPECTED_HALF_BAND_M, HALF_BAND_SD_M = 0.015, 0.015
-"""Prior on half the width of the face if only one edge was seen: faces in launcher manuals are 0.03 m wide."""
+EXPECTED_HALF_BAND_M = 0.015
+"""Mean and standard deviation of the prior on half the width of the face if only one edge was seen: faces in launcher
+manuals are 0.03 m wide."""
 
 
 class Prior(NamedTuple):
@@ -59,14 +58,14 @@ class Prior(NamedTuple):
             expected = max(abs(self.regularize_about.curvature), EXPECTED_CURVATURE)
             rows += [
                 (arcs.curvature / expected - 1.0, {CURVATURE: 1.0 / expected}),
-                (float(inward @ self.regularize_about.axes[1]) / TURN_SD_RAD, {TURN: 1.0 / TURN_SD_RAD}),
+                (float(inward @ self.regularize_about.axes[1]) / ANGLE_SD_RAD, {TURN: 1.0 / ANGLE_SD_RAD}),
             ]
             for axis in range(2):
-                derivatives = {TILT_INWARD: inward[axis] / TILT_SD_RAD, TILT_ALONG: along[axis] / TILT_SD_RAD}
-                rows.append((float(normal[axis]) / TILT_SD_RAD, derivatives))
+                derivatives = {TILT_INWARD: inward[axis] / ANGLE_SD_RAD, TILT_ALONG: along[axis] / ANGLE_SD_RAD}
+                rows.append((float(normal[axis]) / ANGLE_SD_RAD, derivatives))
         if self.single_edge:
-            half_band = (arcs.half_band_m - EXPECTED_HALF_BAND_M) / HALF_BAND_SD_M
-            rows.append((half_band, {HALF_BAND: 1.0 / HALF_BAND_SD_M}))
+            half_band = (arcs.half_band_m - EXPECTED_HALF_BAND_M) / EXPECTED_HALF_BAND_M
+            rows.append((half_band, {HALF_BAND: 1.0 / EXPECTED_HALF_BAND_M}))
         table = np.zeros((len(rows), 1 + at.stripes.y_wrt_step.shape[1]))
         for row, (value, derivatives) in zip(table, rows, strict=True):
             row[0], row[1:][list(derivatives)] = value, list(derivatives.values())
