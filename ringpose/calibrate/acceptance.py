@@ -126,6 +126,9 @@ MOUNT_LIMITS: Mapping[str, Limit] = {
     "board_scale_error": Limit(0.003, 0.05,
         "by the robot's motions the board is {factor:.4f} times as large as its file gives: measure its print, or the "
         "robot's lengths are wrong"),
+    "board_scale_sd": Limit(0.2, inf,  # with half of it a poor robot hides a board that is wrong by a half
+        "lengths of robot and board cannot be compared, so that a wrong unit would not be seen: add views from other "
+        "distances"),
     "views_used": Limit(10.0, 3.0, "take ten views or more, turned about two axes"),
     "views_used_share": Limit(0.9, 0.6, "see why views are left out"),
     "largest_turn_rad": Limit(radians(30), radians(5), "turn the tool by 30 degrees or more between views"),

@@ -17,6 +17,9 @@ from ringpose.types.arrays import Array, Float64
 MIN_TURN_RAD = np.radians(5.0)
 """Rotation between two views from which it contributes."""
 
+MAX_SCALE_ERROR = 0.1
+"""Relative error of the scale up to which it can name a unit: the factors between units differ by 1.2 or more."""
+
 MIN_ACROSS_RAD = np.radians(5.0)
 """Rotation about a second axis that a set of views must have."""
 
@@ -84,7 +87,8 @@ def closed_form_mount(
 ) -> tuple[Transform, Transform, float]:
     """X (camera in the moving or fixed frame), Y (board in the other one), and the scale of the robot's positions.
 
-    The scale is 1 if robot and board are in the same unit; X and Y are computed with the scale 1.
+    The scale is 1 if robot and board are in the same unit, and NaN if its error may exceed `MAX_SCALE_ERROR`; X and Y
+    are computed with the scale 1.
     """
     rotation = best_rotation(turns)
     rows, right, positions = [], [], []
@@ -98,7 +102,13 @@ def closed_form_mount(
         positions.append(relative.translation_m)
     matrix, known, moved = np.concatenate(rows), np.concatenate(right), np.concatenate(positions)
     translation_m = _robust_solution(matrix, known - moved)
-    scale = float(_robust_solution(np.column_stack([matrix, moved]), known)[3])
+    scaled = np.column_stack([matrix, moved])
+    solution = _robust_solution(scaled, known)
+    # a tool that turns about one point, which the camera sees in one place, moves as another mount explains
+    across_m = np.linalg.norm(moved - matrix @ np.linalg.lstsq(matrix, moved)[0])
+    errors_m = np.linalg.norm((known - scaled @ solution).reshape(-1, 3), axis=1)
+    error_m = float(np.median(errors_m)) * np.sqrt(len(errors_m))  # a few poses may be wrong
+    scale = float(solution[3]) if error_m < MAX_SCALE_ERROR * abs(solution[3]) * across_m else float("nan")
     mount = Transform(rotation, translation_m)
     return mount, _mean([g.inverse().after(mount).after(t) for g, t in zip(robot, board, strict=True)]), scale
 

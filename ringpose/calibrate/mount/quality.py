@@ -34,12 +34,6 @@ SIGNIFICANT_SIGMAS = 3.0
 """Standard deviations from which an error of the board's scale is one: chance gives it in one session of 400. With an
 inaccurate robot (2.7 mm) a board that is wrong by 20 % is at 3.8 to 4.6; doubled, it would not be named."""
 
-MAX_SCALE_SD = 0.2
-"""Standard deviation of the board's scale from which the views do not determine it. Views turned about the board's
-middle at one distance leave it open, and the estimate, which is linear in it, is arbitrary. With half of this a board
-that is wrong by a half would not be named with a poor robot; doubled, chance may name one."""
-
-
 SHOWN = 0.95
 """Probability from which an error that depends on the robot's pose counts as shown, or as excluded."""
 
@@ -70,12 +64,13 @@ def mount_verdict(calibration: MountCalibration) -> Verdict:
     rotation_sd, translation_sd = sds(calibration)
     sigmas = calibration.solution.sigmas
     share, share_sd = calibration.board_scale
-    known = share_sd < MAX_SCALE_SD and abs(share) > SIGNIFICANT_SIGMAS * share_sd
+    known = share_sd < MOUNT_LIMITS["board_scale_sd"].good and abs(share) > SIGNIFICANT_SIGMAS * share_sd
     scale_error = abs(share) if known else 0.0
     more = f"add views, turned by 20 degrees or more about the {frame}'s {missing} axis and to both sides"
     findings = [
         check(MOUNT_LIMITS, "board_moved", float(bool(calibration.board_moved)), moved=calibration.board_moved),
         check(MOUNT_LIMITS, "board_scale_error", scale_error, factor=1 + share),
+        check(MOUNT_LIMITS, "board_scale_sd", share_sd),
         check(MOUNT_LIMITS, "views_used", float(used)),
         check(MOUNT_LIMITS, "views_used_share", used / given),
         check(MOUNT_LIMITS, "largest_turn_rad", largest),

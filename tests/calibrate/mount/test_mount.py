@@ -28,14 +28,19 @@ def transform(vector, place_m=(0.0, 0.0, 0.0)):
     return Transform(Rotation.from_rotvec(vector).as_matrix(), np.array(place_m, dtype=np.float64))
 
 
-def world(rng, views, *, robot=(ROBOT_RAD, ROBOT_M), noise_px=0.1, eye_to_hand=False, turn=(0.45, 0.45, 0.8)):
-    """The true mount, and views whose robot poses have independent errors in the tool frame."""
+def world(
+    rng, views, *, robot=(ROBOT_RAD, ROBOT_M), noise_px=0.1, eye_to_hand=False, turn=(0.45, 0.45, 0.8), spread=1.0
+):
+    """The true mount, and views whose robot poses have independent errors in the tool frame.
+
+    `spread`: 0 if all views look at the board's middle from one distance.
+    """
     mount = transform(rng.normal(0, 1, 3), rng.normal(0, 0.05, 3))
     board = transform(rng.normal(0, 1, 3), rng.normal(0, 0.5, 3))
     stations = []
     for number in range(views):
         rotation = Rotation.from_rotvec(rng.uniform(-1, 1, 3) * turn).as_matrix()
-        middle_m = np.array([*rng.uniform(-0.02, 0.02, 2), rng.uniform(0.4, 0.6)])
+        middle_m = np.array([*rng.uniform(-0.02, 0.02, 2), rng.uniform(-0.1, 0.1)]) * spread + [0.0, 0.0, 0.5]
         seen = Transform(rotation, middle_m - rotation @ MIDDLE_M)
         # mount @ seen = tool_from_base @ board, or base_from_tool @ board
         moving = mount.after(seen).after(board.inverse())
@@ -270,6 +275,24 @@ def test_a_board_of_another_size_is_noticed(rng):
     calibration = calibrate_mount(larger, TRUE_CAMERA)
 
     assert calibration.board_scale[0] == pytest.approx(-0.03 / 1.03, abs=0.003)
+
+
+@pytest.mark.parametrize("views", [3, 12])
+def test_views_of_one_point_from_one_distance_do_not_show_the_unit_of_the_robot(views, rng):
+    mount, stations = world(rng, views, spread=0.0)
+
+    calibration = calibrate_mount(stations, TRUE_CAMERA)
+
+    assert np.linalg.norm(error_of(calibration, mount)[3:]) < 3e-3
+    assert "a wrong unit would not be seen" in " ".join(mount_verdict(calibration).advice)
+
+
+def test_views_from_other_distances_show_the_unit_of_the_robot(rng):
+    _, stations = world(rng, 12)
+
+    advice = mount_verdict(calibrate_mount(stations, TRUE_CAMERA)).advice
+
+    assert "a wrong unit would not be seen" not in " ".join(advice)
 
 
 def test_a_given_mount_is_judged(rng):
