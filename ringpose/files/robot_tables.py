@@ -280,8 +280,10 @@ def _check_distances(poses: Sequence[ReportedPose], location: str, convention: P
     """Reject poses that are far too near to the base, or too far, or that never turn, for their units."""
     distance_m = np.array([float(np.linalg.norm(pose.position_m)) for pose in poses])
     if np.median(distance_m) > FAR_M:
-        finding = f"the tool is {np.median(distance_m):.4g} m from the base"
-        raise DataError(location, finding, "likely the positions are in millimetres: give mm, or divide by 1000")
+        far_m = float(np.median(distance_m))
+        finding = f"the tool is {far_m:.4g} m from the base"
+        remedy = f"give metres: {1e-3 * far_m:.3g} if these are millimetres, {1e-2 * far_m:.3g} if centimetres"
+        raise DataError(location, finding, f"{remedy}, {0.0254 * far_m:.3g} if inches")
     if convention is not None and convention.length_m < 1.0 and distance_m.max() < NEAR_M:
         finding = f"the tool is never more than {1e3 * distance_m.max():.4g} mm from the base"
         raise DataError(location, finding, "likely the positions are in metres: give m in --robot-convention")

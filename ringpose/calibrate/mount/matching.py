@@ -33,6 +33,7 @@ def matched_poses(
         return _by_name(names, poses)
     if all(pose.stamp_s is not None for pose in poses):
         poses = sorted(poses, key=lambda pose: pose.stamp_s or 0.0)
+        _check_clocks(stamps_s, poses, location)
         return [_at_stamp(name, stamp_s, poses) for name, stamp_s in zip(names, stamps_s, strict=True)]
     if len(poses) != len(names):
         finding = f"has {len(poses)} poses without names or stamps for {len(names)} images"
@@ -43,10 +44,15 @@ def matched_poses(
 
 
 def _by_name(names: Sequence[str], poses: Sequence[ReportedPose]) -> list[ReportedPose | DataError]:
-    """Poses by the name of the image without its suffix; else by the number at the end of both names."""
+    """Poses by the name of the image without its suffix; else by the number at the end of both names, or by order.
+
+    Numbers that do not agree, as those of p10, p20 and so on, are those of a robot's program.
+    """
     pairs = _pairs(names, poses, lambda name: PurePath(name).stem)
     if all(pose is None for pose in pairs):
         pairs = _pairs(names, poses, _last_number)
+        if None in pairs and len(poses) == len(names):
+            return list(poses)
     remedy = f"the poses are of {poses[0].name} to {poses[-1].name}"
     return [
         pose or DataError(name, "has no pose of the robot", remedy) for name, pose in zip(names, pairs, strict=True)
@@ -64,6 +70,21 @@ def _pairs(names: Sequence[str], poses: Sequence[ReportedPose], key: Callable[[s
 def _last_number(name: str) -> str:
     numbers = re.findall(r"\d+", PurePath(name).stem)
     return numbers[-1].lstrip("0") or "0" if numbers else ""
+
+
+def _check_clocks(stamps_s: Sequence[float], poses: Sequence[ReportedPose], location: str) -> None:
+    """Reject stamps of which none is near one of an image: those of other clocks, or of the files of the images."""
+    known_s = np.array([stamp_s for stamp_s in stamps_s if np.isfinite(stamp_s) and stamp_s != 0.0])
+    if not len(known_s):
+        return
+    apart_s = float(np.abs(known_s[:, None] - [pose.stamp_s for pose in poses]).min())
+    if apart_s > MAX_APART_S:
+        finding = f"its stamps are all {apart_s:.4g} s or more away from those of the images"
+        remedy = (
+            "that of an image that is no shot is the time of its file: name the images in a column shot, or, for poses "
+            "in the order of the images, leave the stamps out (in a table: - for stamp_s in --robot-columns)"
+        )
+        raise DataError(location, finding, remedy)
 
 
 def _at_stamp(name: str, stamp_s: float, poses: Sequence[ReportedPose]) -> ReportedPose | DataError:

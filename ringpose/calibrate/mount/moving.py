@@ -174,9 +174,9 @@ def check_clocks(
             f"{beyond[int(np.argmin(misfit))]:+.1f} s, and offsets up to {MAX_DELAY_S:g} s are estimated"
         )
         remedy = "likely the clocks are not synchronised: use NTP, or correct the robot's stamps by this"
-        raise DataError("calibrate-mount", finding, remedy)
+        raise DataError("", finding, remedy)
     if not np.isfinite(coarse.misfit_rad):
-        raise DataError("calibrate-mount", *_why_apart(stamps_s, motion))
+        raise DataError("", *_why_apart(stamps_s, motion))
 
 
 def _misfits(

@@ -276,7 +276,7 @@ def _solved(
     except np.linalg.LinAlgError as error:
         finding = "views and robot poses contradict each other so far that no mount fits them"
         remedy = "check their order and names, the board's sizes and the robot's convention"
-        raise DataError("calibrate-mount", finding, remedy) from error
+        raise DataError("", finding, remedy) from error
 
 
 def _check_motions(
@@ -290,35 +290,33 @@ def _check_motions(
             f"the robot's poses are turned against each other by at most {np.degrees(turned):.2g} degrees, the board "
             f"in the images by {np.degrees(seen):.2g}"
         )
-        raise DataError("calibrate-mount", finding, "likely the same pose was written for each view: read it anew")
+        raise DataError("", finding, "likely the same pose was written for each view: read it anew")
     transforms = [_transform(pose) for pose in boards]
     error_rad = rotation_error_rad(turns)
     if error_rad > CONTRADICTION_RAD:
         cause = likely_cause(stations, transforms, eye_to_hand, convention)
         if cause:
             finding = "the robot's rotations contradict those of the board in the images"
-            raise DataError("calibrate-mount", finding, f"likely {cause}")
+            raise DataError("", finding, f"likely {cause}")
     robot = [moving_from_fixed(station.base_from_tool, eye_to_hand) for station in stations]
     _, _, scale = closed_form.closed_form_mount(robot, transforms, turns)
     for factor, words in OTHER_UNITS:
         if MAX_SCALE > scale * factor > 1 / MAX_SCALE:
             finding = f"the robot's lengths are {1 / scale:.4g} times those of the board"
             wrong = f"{1 / factor:.4g} times too large" if factor < 1.0 else f"{factor:.4g} times too small"
-            raise DataError("calibrate-mount", finding, f"likely {words}, or the board's sizes are {wrong}")
+            raise DataError("", finding, f"likely {words}, or the board's sizes are {wrong}")
 
 
 def _check_turns(turns: closed_form.Turns, views: int, eye_to_hand: bool) -> closed_form.Turns:
     """Raise DataError unless the views are turned about two axes."""
     if views < MIN_VIEWS:
         finding = f"{views} view{'s' * (views != 1)} with a pose of the robot, at least {MIN_VIEWS} are needed"
-        raise DataError("calibrate-mount", finding, "ten or more are good, turned by 20 degrees or more about two axes")
+        raise DataError("", finding, "ten or more are good, turned by 20 degrees or more about two axes")
     largest, across, _ = turns.spread_rad.tolist()
     frame = "base" if eye_to_hand else "tool"
     if largest < closed_form.MIN_TURN_RAD:
         finding = f"the views are turned against each other by at most {np.degrees(largest):.2g} degrees, 5 are needed"
-        raise DataError(
-            "calibrate-mount", finding, f"turn the tool by 20 degrees or more about two axes of the {frame}"
-        )
+        raise DataError("", finding, f"turn the tool by 20 degrees or more about two axes of the {frame}")
     if across < closed_form.MIN_ACROSS_RAD:
         axis = turns.main_axis
         missing = "xyz"[int(np.argmin(np.abs(axis)))]
@@ -327,7 +325,7 @@ def _check_turns(turns: closed_form.Turns, views: int, eye_to_hand: bool) -> clo
             f"all views are turned about one axis, ({words}) in the {frame} frame, and by at most "
             f"{np.degrees(across):.2g} degrees about another: the mount's place along it is not determined"
         )
-        raise DataError("calibrate-mount", finding, f"add views that are turned about the {frame}'s {missing} axis")
+        raise DataError("", finding, f"add views that are turned about the {frame}'s {missing} axis")
     return turns
 
 
@@ -342,7 +340,7 @@ def _check_fit(solution: MountSolution) -> None:
             f"and {np.degrees(sigmas.rotation_rad):.3g} degrees{turn}"
         )
         remedy = "likely they are in another order than the images, of another session, or their columns are exchanged"
-        raise DataError("calibrate-mount", finding, remedy)
+        raise DataError("", finding, remedy)
 
 
 def _slip(

@@ -36,6 +36,19 @@ def test_images_and_poses_are_paired_by_the_numbers_in_their_names():
     assert [found.position_m[0] for found in matched] == [0.1, 0.3]
 
 
+def test_targets_of_a_robots_program_belong_to_as_many_images_in_their_order():
+    poses = [pose(None, 0.1, "p10"), pose(None, 0.2, "p20"), pose(None, 0.3, "p30")]
+
+    matched = matched_poses(["view10", "view11", "view12"], [0.0, 0.0, 0.0], poses, "p")
+
+    assert [found.position_m[0] for found in matched] == [0.1, 0.2, 0.3]
+
+
+def test_stamps_of_another_clock_are_reported_once_for_all_images():
+    with pytest.raises(DataError, match=r"poses\.tum: its stamps are all 994 s or more away.*leave the stamps out"):
+        matched_poses(["a", "b"], [2000.0, 2004.0], [pose(1000.0), pose(1006.0)], "poses.tum")
+
+
 def test_a_pose_that_names_no_shot_beside_others_that_do_is_named_by_its_line():
     unnamed = pose(None)._replace(location="poses.jsonl:2")
 
