@@ -58,6 +58,7 @@ from ringpose.optics.feature_errors import (
     fitted_columns,
     tilt_sigma_px,
 )
+from ringpose.optics.image_noise import PIXEL_VARIANCE
 from ringpose.types.arrays import EDGES, Array, Bool, Float64, Int64, UInt
 from ringpose.types.assumptions import IDEAL, Assumptions
 from ringpose.types.detection import (
@@ -79,13 +80,9 @@ KINK_LEVEL = 0.25
 UNCLEAR_PX = 0.75
 """Standard deviation above which an end is flagged: half of the largest error that is permitted without a flag."""
 
-MAX_END_SIGMA_PX = (INSIDE_COLUMNS + OUTSIDE_COLUMNS) / math.sqrt(12)
+MAX_END_SIGMA_PX = (INSIDE_COLUMNS + OUTSIDE_COLUMNS) * math.sqrt(PIXEL_VARIANCE)
 """Standard deviation of a uniform distribution over the columns of a fit (10.4 px). A larger sigma, as beside a glint
 that saturates all columns, means that the image does not show the end."""
-
-CLEAR_ENDS = 2
-"""Minimum number of ends with a sigma below `UNCLEAR_PX`. Rings reach it even before bright foil; of false detections
-on foil one in five does."""
 
 CLIPPED_PHASE = 0.022
 """Error of a saturated stripe's centre, times the sigma of its section in pixels.
@@ -237,10 +234,14 @@ def _judged_ring(best: Explanation, measured: Measurements) -> JudgedRing | None
 
 
 def ends_clear(points: BreakPoints) -> bool:
-    """Whether enough ends are clear edges: at the end of an apparent face on foil, a stripe fades or continues."""
+    """Whether enough ends are clear edges, as many as one stripe has.
+
+    At the end of an apparent face on foil, a stripe fades or continues: of false detections on foil one in five has so
+    many, and rings even before bright foil.
+    """
     clear = sum(int((arc.seen & (arc.flags & int(BreakPointFlag.UNCLEAR) == 0)).sum()) for arc in points.arcs)
     seen = sum(int(arc.seen.sum()) for arc in points.arcs)
-    return clear >= min(CLEAR_ENDS, seen)
+    return clear >= min(len(EDGES), seen)
 
 
 class Ends(NamedTuple):

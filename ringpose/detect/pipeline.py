@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from ringpose.detect.break_points import break_points, ends_clear, without_outliers
+from ringpose.detect.break_points import BEYOND_COLUMNS, break_points, ends_clear, without_outliers
 from ringpose.detect.concentric_faces import several_faces
 from ringpose.detect.difference_images import (
     BAND_PX,
@@ -27,16 +27,19 @@ from ringpose.detect.difference_images import (
     saturated_along_stripes,
 )
 from ringpose.detect.motion import RingMotion, ring_motion
-from ringpose.detect.rim import CONFIRMED, LONG_COLUMNS, Face, planes_per_m, ring_face
+from ringpose.detect.rim import Face, planes_per_m, ring_face
 from ringpose.detect.ring_edges import detect_ring_edges
 from ringpose.detect.stripes import (
     BLOCK,
+    LONG_COLUMNS,
     MAX_GAP,
     SAME_STRIPE_PX,
     find_stripes,
     stripe_line_segments,
     without_ghosts,
 )
+from ringpose.estimate.ring_estimate import STRIPES_OF_A_PLANE
+from ringpose.estimate.solver import CERTAIN_SIGMAS
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.geometry.rays import project, undistorted_rays
 from ringpose.kernels.lines import (
@@ -401,10 +404,6 @@ def _without_ghosts(
     ]
 
 
-ON_PREDICTED_SIGMAS = 4.0
-"""Distance from a predicted stripe within which a centre is on it: sigmas of the prediction, and `SAME_STRIPE_PX`."""
-
-
 def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: Rig) -> Stripes:
     """The stripes with each piece assigned to the laser on whose predicted stripe most of its centres are.
 
@@ -417,7 +416,7 @@ def _assigned(stripes: Stripes, predicted: BreakPoints, image: LaserImage, rig: 
         if not np.isfinite(ends).all():
             continue
         (left, first), (right, last) = sorted(project(undistorted_rays(ends, rig.camera), rig.camera).tolist())
-        tolerance_px = ON_PREDICTED_SIGMAS * float(arc.face_sigma_px[laser].max()) + SAME_STRIPE_PX
+        tolerance_px = CERTAIN_SIGMAS * float(arc.face_sigma_px[laser].max()) + SAME_STRIPE_PX
         on = np.abs(y - np.interp(x, [left, right], [first, last])) < tolerance_px
         on &= (x > left - tolerance_px) & (x < right + tolerance_px)
         near[:, laser] += np.bincount(stripes.piece[on], minlength=len(stripes.laser))
@@ -505,7 +504,8 @@ def with_repetition(points: BreakPoints, view: View, motion: RingMotion | None =
     if np.nansum(np.abs(again.position_px[:, ::-1] - points.position_px)) < far_px:
         again = again.with_edges_exchanged()
     unclear = again.flags & int(BreakPointFlag.UNCLEAR | BreakPointFlag.CLIPPED) != 0
-    kept = points.seen & ~unclear & (np.abs(again.position_px - points.position_px).max(axis=-1) < BEYOND_ENDS_PX)
+    near = np.abs(again.position_px - points.position_px).max(axis=-1) < BAND_PX + BEYOND_COLUMNS
+    kept = points.seen & ~unclear & near
     with_line = np.isfinite(points.face_start_undistorted_px)
     return replace(
         points,
@@ -590,7 +590,7 @@ def explained(reason: NoBreakPoints, stripes: Stripes, view: View) -> NoBreakPoi
     turned_px = np.stack([x, rig.camera.image_height - 1 - y], axis=1)
     segments = stripe_line_segments(replace(stripes, position_px=turned_px), rig.camera)
     face = ring_face(segments, view.unlabelled_lasers(), rig)
-    fits = face is not None and len(face.lasers) >= CONFIRMED and not face.ambiguous and not face.behind
+    fits = face is not None and len(face.lasers) > STRIPES_OF_A_PLANE and not face.ambiguous and not face.behind
     return NoBreakPoints.UPSIDE_DOWN if fits else reason
 
 
@@ -623,7 +623,7 @@ def _masks_contradicted(face: Face | None, segments: Float64[Array, "segment col
     unlabelled[:, LASER] = UNLABELLED
     other = ring_face(unlabelled, range(len(rig.lasers.names)), rig)
     explained = -math.inf if face is None else face.score + AGREEMENT
-    return other is not None and len(other.lasers) >= CONFIRMED and other.score > explained
+    return other is not None and len(other.lasers) > STRIPES_OF_A_PLANE and other.score > explained
 
 
 def _why_no_stripe(images: Sequence[LaserImage]) -> NoBreakPoints:
@@ -661,10 +661,6 @@ def _ends_undistorted_px(segments: Float64[Array, "segment column=12"]) -> Float
     return ends_px
 
 
-BEYOND_ENDS_PX = 60
-"""Margin of a search window beyond the ends of a predicted stripe: motion, and the columns beyond the ends."""
-
-
 def predicted_bands(
     predicted: BreakPoints, lasers: Sequence[int], camera: Camera
 ) -> Int32[Array, "band side=4"] | None:
@@ -682,7 +678,7 @@ def predicted_bands(
     shown = project(undistorted_rays(np.array(ends), camera), camera).tolist()
     bands = []
     for (x, y), (other_x, other_y) in shown:
-        left, right = _search_range(x, other_x, BEYOND_ENDS_PX, camera.image_width)
+        left, right = _search_range(x, other_x, BAND_PX + BEYOND_COLUMNS, camera.image_width)
         top, bottom = _search_range(y, other_y, BAND_PX, camera.image_height)
         bands.append((left, right, top, bottom))
     return np.array(bands, dtype=np.int32)

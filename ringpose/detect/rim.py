@@ -16,7 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ringpose.detect.stripes import SAME_STRIPE_PX, lens, line_y_px
+from ringpose.detect.stripes import LONG_COLUMNS, SAME_STRIPE_PX, lens, line_y_px
+from ringpose.estimate.faults import SURFACE_TILT_SD_RAD
+from ringpose.estimate.ring_estimate import STRIPES_OF_A_PLANE
+from ringpose.estimate.solver import ALARM_SIGMAS
 from ringpose.geometry.rays import undistorted_rays
 from ringpose.geometry.sheets import bends_of, light_planes, sheet_points
 from ringpose.kernels import _kernels
@@ -45,9 +48,6 @@ from ringpose.types.rig import Camera, Rig
 CONVINCING_SCORE = {3: 9.0, 2: 12.0, 1: 6.0}
 """Minimum score by number of segments, which foil hardly ever reaches; two segments have little redundancy."""
 
-CONFIRMED = 3
-"""Number of segments below which coplanarity may be a coincidence, so that other explanations are examined."""
-
 MAX_TO_SHORTEST = 2.5
 """Maximum ratio of the lengths of stripes on one face: they cross it at 45 degrees or more, and half of one may be
 occluded; segments on foil have any length."""
@@ -55,16 +55,8 @@ occluded; segments on foil have any length."""
 IN_FRONT_M = (0.005, 0.3)
 """Range of the distance of another flat surface in front of the plane of a ring."""
 
-PARALLEL_WITHIN = 0.05
-"""Maximum slope of a stripe on it, or of its plane, to that plane; the normal of two short stripes is known to a few
-degrees."""
-
 MIN_LENGTH_RATIO = 0.5
 """Minimum length of that stripe, as a share of those on the ring."""
-
-LONG_COLUMNS = 30
-"""Minimum length of segments that are examined for another explanation; shorter ones may be reflections, or on facets
-of foil."""
 
 DISPLACED_M = 0.02
 """Maximum distance from a ring's plane of the stripe of a light plane that has moved; the body is farther behind."""
@@ -75,6 +67,9 @@ With one of the selected stripes 10 px beside its place (0.5 m, lasers at 10 deg
 
 MOVED_RAD = math.radians(0.6)
 """Largest turn of a light plane since the calibration that is considered, seen from the camera."""
+
+
+UNIONS = UnionParams(separation_sigmas=ALARM_SIGMAS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,7 +98,7 @@ class Face:
     @property
     def is_confirmed(self) -> bool:
         """Whether its segments are more than a coincidence: three of them, or two stripes across both arcs."""
-        return len(self.lasers) >= CONFIRMED or (self.opposite is not None and len(self.lasers) > 1)
+        return len(self.lasers) > STRIPES_OF_A_PLANE or (self.opposite is not None and len(self.lasers) > 1)
 
     def passes_beside_hole(self, laser: int) -> bool:
         """Whether the segment of a laser reaches from this arc to the opposite one."""
@@ -186,7 +181,7 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
     unlabelled = sum(1 << laser for laser in lasers)
     ring = _ring_params(rig.camera)
     every, best_groups, chords = ring_faces(
-        segments, unlabelled, planes_per_m(rig), ring, UnionParams(), CandidateParams(), sheet_bends(rig)
+        segments, unlabelled, planes_per_m(rig), ring, UNIONS, CandidateParams(), sheet_bends(rig)
     )
     if chords.are_convincing and len(chords.chords) > 1:
         return _foremost(face_of_both_arcs(chords, every, rig), segments, rig)
@@ -212,7 +207,7 @@ def ring_face(segments: Float64[Array, "segment column=12"], lasers: Sequence[in
         displaced=_left_out(best, uneven) if beside is None else (beside,),
     )
     face, standing = _interrupted(face, best.covered, segments, lasers, rig)
-    if CONFIRMED <= len(face.lasers) < len(rig.lasers.names):
+    if STRIPES_OF_A_PLANE < len(face.lasers) < len(rig.lasers.names):
         face = _with_further_lasers(face, every, lasers, rig)
     foremost = _foremost(face, segments, rig)
     if foremost.segments is face.segments or not foremost.is_confirmed:  # no ring in front that all of three show
@@ -344,7 +339,7 @@ FURTHER_AGREEMENTS = 2
 
 def _explains_more(chord: Chords, group: Group) -> bool:
     """Whether a single stripe across both arcs is more probable than fewer than three segments on one arc."""
-    return len(group.segments) < CONFIRMED and chord.score + FURTHER_AGREEMENTS * AGREEMENT > group.score
+    return len(group.segments) <= STRIPES_OF_A_PLANE and chord.score + FURTHER_AGREEMENTS * AGREEMENT > group.score
 
 
 def best_hypothesis(groups: Sequence[Group | None]) -> Group | None:
@@ -379,7 +374,7 @@ def _lengths_consistent(segments: Float64[Array, "segment column=12"], lasers: S
     """
     lengths_m = _lengths_m(segment_ends_m(segments, lasers, rig))
     whole_m = lengths_m[segments[:, CLIPPED] == 0]
-    longest_m = whole_m if len(segments) >= CONFIRMED else lengths_m
+    longest_m = whole_m if len(segments) > STRIPES_OF_A_PLANE else lengths_m
     return bool(longest_m.max(initial=0.0) < MAX_TO_SHORTEST * whole_m.min(initial=math.inf))
 
 
@@ -402,7 +397,7 @@ def _beside_band(
     small turn of one light plane.
     """
     start_px, end_px = segments[list(group.segments)][:, [X_START, X_END]].T
-    if len(group.segments) < CONFIRMED or start_px.max() < end_px.min():
+    if len(group.segments) <= STRIPES_OF_A_PLANE or start_px.max() < end_px.min():
         return None
     for laser, segment in zip(group.lasers, group.segments, strict=True):
         pair = _without(group, laser)
@@ -450,7 +445,7 @@ class SegmentPlane(NamedTuple):
         """Whether stripes with these ends are parallel to the plane, and as long as the selected ones."""
         length_m, off_m = _lengths_m(ends_m), (ends_m - self.origin_m) @ self.normal
         as_long = np.maximum(max(self.lengths_m) / length_m, length_m / min(self.lengths_m)) < ALIKE
-        alike: Bool[Array, "n"] = as_long & (np.ptp(off_m, axis=1) < PARALLEL_WITHIN * length_m)
+        alike: Bool[Array, "n"] = as_long & (np.ptp(off_m, axis=1) < SURFACE_TILT_SD_RAD * length_m)
         return alike
 
 
@@ -555,7 +550,7 @@ def _foremost(face: Face, segments: Float64[Array, "segment column=12"], rig: Ri
     nearer = ring_face(_beside_face(rows, on_face), face.lasers, rig) if len(rows) > 1 else None
     if nearer is not None and len(nearer.lasers) > 1 and (nearer.is_confirmed or nearer.score > face.score):
         nearer_m, _, _, normal = plane_of(nearer.segments, nearer.lasers, rig)
-        parallel = float(np.linalg.norm(normal - plane.normal)) < PARALLEL_WITHIN
+        parallel = float(np.linalg.norm(normal - plane.normal)) < SURFACE_TILT_SD_RAD
         if parallel and bool(_in_front(nearer_m, plane.origin_m, plane.normal).all()):
             return _as_measured(nearer, rows)
     length_m, may_be_face = _lengths_m(ends_m), parallel_in_front(ends_m, plane.origin_m, plane.normal)
@@ -612,7 +607,7 @@ def parallel_in_front(
 ) -> Bool[Array, "n"]:
     """Whether stripes with these ends are on surfaces in front of a plane (`IN_FRONT_M`) and parallel to it."""
     slope_m = np.abs((ends_m[:, 1] - ends_m[:, 0]) @ normal)
-    return _in_front(ends_m, origin_m, normal) & (slope_m < PARALLEL_WITHIN * _lengths_m(ends_m))
+    return _in_front(ends_m, origin_m, normal) & (slope_m < SURFACE_TILT_SD_RAD * _lengths_m(ends_m))
 
 
 def displaced_lasers(
@@ -623,7 +618,7 @@ def displaced_lasers(
     Such a stripe is that of the ring if the rig has changed; two selected stripes always agree with some ring. `lasers`
     are those that an unlabelled segment may belong to.
     """
-    if len(face.lasers) != CONFIRMED - 1:
+    if len(face.lasers) != STRIPES_OF_A_PLANE:
         return ()
     if not len(others := _others(face.segments, segments)):
         return face.displaced

@@ -26,10 +26,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ringpose.detect.difference_images import LaserImage
+from ringpose.estimate.solver import CERTAIN_SIGMAS
 from ringpose.geometry.least_squares import STD_PER_MAD, robust_std
 from ringpose.kernels import _kernels, kernel_record
 from ringpose.kernels.lines import MIDDLE_X, MIDDLE_Y, SEGMENT_COLUMNS, SLOPE, Lens, SegmentParams
-from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, REACH_SIGMAS
+from ringpose.optics.feature_errors import BORDER_PX, MAX_SPECKLE, MIN_PEAK, MIN_PEAK_SIGMAS, REACH_SIGMAS
 from ringpose.types.arrays import Array, Float32, Float64, Int32, Int64, UInt
 from ringpose.types.detection import UNLABELLED, Stripes, SubtractedGhost
 from ringpose.types.image import full_scale_dn
@@ -103,7 +104,7 @@ class StripeParams:
     """Grey value of a saturated pixel; speckle weights are not used on pieces with many of them."""
     begin_sigmas: float = 6.0
     """Response over its noise (clutter included) that at least `shortest` columns of a piece must have."""
-    continue_sigmas: float = 4.0
+    continue_sigmas: float = MIN_PEAK_SIGMAS
     """Response over its noise that every column must have."""
     gap: int = MAX_GAP
     shortest: int = MIN_COLUMNS
@@ -147,12 +148,8 @@ def stripe_centers(
     )
 
 
-FINEST_SIGMA_PX = 1.0
-
-FILTERS_AN_OCTAVE = 3
-
-REFINING_FILTERS = 11
-"""Number of refinement filters of 1 to 10 px: with this spacing the nearest one loses less than 1 % of accuracy."""
+REFINING_SIGMAS_PX = np.geomspace(1.0, 10.0, 11)
+"""Refinement filters: with this spacing the nearest one loses less than 1 % of accuracy."""
 
 RIDGE_REACH = 3.0
 
@@ -172,8 +169,7 @@ class Filters(NamedTuple):
 @lru_cache(maxsize=16)
 def stripe_filters(ridge_sigma_px: float) -> Filters:
     """The detection filter of that sigma, and the refinement filters."""
-    steps = np.arange(REFINING_FILTERS) / FILTERS_AN_OCTAVE
-    sigmas = [ridge_sigma_px, *(FINEST_SIGMA_PX * 2**steps)]
+    sigmas = [ridge_sigma_px, *REFINING_SIGMAS_PX]
     reaches = [math.ceil(sigma * (RIDGE_REACH if i == 0 else REFINING_REACH)) for i, sigma in enumerate(sigmas)]
     taps = np.zeros((len(sigmas), 2, max(reaches) + 1))
     figures = np.zeros((len(sigmas), 4))
@@ -260,11 +256,9 @@ SAME_SPECKLE = 0.5
 """Correlation, from column to column, of the brightness of a stripe and of its ghost. Copies in 69 rendered frames have
 0.6 to 0.98, different stripes in 249 frames at most 0.45; with 0.25 these are taken for ghosts, with 1 none is."""
 
-MIN_GHOST_COLUMNS = 30
-"""Columns of a ghost from which that correlation is known: its error is 0.13."""
-
-GHOST_SIGMAS = 5.0
-"""Ratio over its standard deviation from which a ghost is removed from a frame that does not show it by itself."""
+LONG_COLUMNS = 30
+"""Columns of a ghost from which that correlation is known: its error is 0.13. Minimum length of segments that are
+examined for another explanation; shorter ones may be reflections, or on facets of foil."""
 
 
 def without_ghosts(
@@ -346,7 +340,7 @@ def _ghost_offset_px(stripes: Stripes, pairs: Pairs) -> float | None:
     offset_px = row[copy] - row[light]
     possible = (peak_dn[copy] < MAX_GHOST_RATIO * peak_dn[light]) & (np.abs(offset_px) <= MAX_GHOST_ROWS)
     light, copy, offset_px = light[possible], copy[possible], offset_px[possible]
-    if len(offset_px) < MIN_GHOST_COLUMNS:
+    if len(offset_px) < LONG_COLUMNS:
         return None
     count = np.convolve(np.bincount(np.rint(2.0 * (offset_px + MAX_GHOST_ROWS)).astype(np.int64)), np.ones(3), "same")
     near = np.abs(offset_px - (0.5 * float(count.argmax()) - MAX_GHOST_ROWS)) < GHOST_ROWS
@@ -379,7 +373,7 @@ def _speckle_correlation(
     """
     order = np.argsort(column, kind="stable")
     neighbours = np.diff(column[order]) == 1.0
-    if np.count_nonzero(neighbours) < MIN_GHOST_COLUMNS:
+    if np.count_nonzero(neighbours) < LONG_COLUMNS:
         return 0.0
     changes = [np.diff(np.log(each[order]))[neighbours] for each in (light_dn, copy_dn)]
     limits = [2.0 * STD_PER_MAD * float(np.median(np.abs(change))) for change in changes]
@@ -387,10 +381,6 @@ def _speckle_correlation(
         return 0.0
     light, copy = (np.clip(change, -limit, limit) for change, limit in zip(changes, limits, strict=True))
     return float(np.corrcoef(light, copy)[0, 1])
-
-
-GHOST_REACH = np.arange(-3, 4)
-"""Rows about a centre over which the light of a stripe and of its ghost is summed: twice the width of a stripe."""
 
 
 def _ghost_at(
@@ -401,18 +391,18 @@ def _ghost_at(
     Its ratio is the mean, by their variances, of the measured one and of the one that the rig states, unless these
     contradict each other. Of saturated stripes the latter is the only one.
     """
-    if not offsets_px or len(stripes.piece) < MIN_GHOST_COLUMNS:
+    if not offsets_px or len(stripes.piece) < LONG_COLUMNS:
         return None
     for offset_px in offsets_px:
         ratio, sigma = _ghost_ratio(image, stripes, offset_px)
         for each in stated:
-            close = math.hypot(GHOST_ROWS, GHOST_SIGMAS * each.offset_sd_px)
-            agrees = abs(each.ratio - ratio) < GHOST_SIGMAS * math.hypot(each.ratio_sd, sigma)
+            close = math.hypot(GHOST_ROWS, CERTAIN_SIGMAS * each.offset_sd_px)
+            agrees = abs(each.ratio - ratio) < CERTAIN_SIGMAS * math.hypot(each.ratio_sd, sigma)
             if abs(each.offset_px - offset_px) < close and agrees:
                 weight = 1.0 if math.isinf(sigma) else sigma**2 / (sigma**2 + each.ratio_sd**2)
                 ratio, sigma = ratio + weight * (each.ratio - ratio), math.sqrt(weight) * each.ratio_sd
                 break
-        if GHOST_SIGMAS * sigma < ratio < MAX_GHOST_RATIO:
+        if CERTAIN_SIGMAS * sigma < ratio < MAX_GHOST_RATIO:
             return SubtractedGhost(offset_px=offset_px, ratio=ratio)
     return None
 
@@ -423,19 +413,20 @@ def _ghost_ratio(image: LaserImage, stripes: Stripes, offset_px: float) -> tuple
     It is the median, over the brighter half of the stripes' centres that are not saturated, of the light there less
     that on the other side of the stripe, which is the stripe's own, over the light at the stripe.
     """
-    light = _laser_light(image)
+    light, half = _laser_light(image), int(SAME_STRIPE_PX)
     column, row = np.rint(stripes.position_px).astype(np.int64).T
-    reach = math.ceil(abs(offset_px)) + GHOST_REACH[-1]
+    rows = np.arange(-half, half + 1)  # twice the width of a stripe
+    reach = math.ceil(abs(offset_px)) + half
     inside = (image.lit[row, column] < image.saturation_dn) & (row >= reach) & (row < len(light) - reach)
-    if np.count_nonzero(inside) < MIN_GHOST_COLUMNS:
+    if np.count_nonzero(inside) < LONG_COLUMNS:
         return 0.0, math.inf
     inside &= stripes.peak_dn >= np.median(stripes.peak_dn[inside])
     at, beside, opposite = (
-        light[(row[inside] + round(step_px))[:, None] + GHOST_REACH, column[inside, None]].sum(axis=1, dtype=np.float64)
+        light[(row[inside] + round(step_px))[:, None] + rows, column[inside, None]].sum(axis=1, dtype=np.float64)
         for step_px in (0.0, offset_px, -offset_px)
     )
     is_light = opposite < at  # a copy has its light on the other side
-    if np.count_nonzero(is_light) < MIN_GHOST_COLUMNS:
+    if np.count_nonzero(is_light) < LONG_COLUMNS:
         return 0.0, math.inf
     ratios = (beside - opposite)[is_light] / np.maximum(at[is_light], 1.0)
     ratio = float(np.median(ratios))

@@ -9,7 +9,7 @@ from drawn_scene import DrawnScene, draw_shot, drawn_rig, true_break_points
 from ring_scenes import break_points_of, with_lines
 
 from ringpose.detect.difference_images import laser_images
-from ringpose.detect.pipeline import BAND_PX, BEYOND_ENDS_PX, Prior, detect, predicted_bands
+from ringpose.detect.pipeline import BAND_PX, BEYOND_COLUMNS, Prior, detect, predicted_bands
 from ringpose.detect.stripes import find_stripes
 from ringpose.geometry.rays import undistorted_pixels
 from ringpose.types.detection import UNLABELLED
@@ -23,7 +23,7 @@ def test_bands_hold_the_ends_of_predicted_stripes_and_what_surrounds_them():
 
     assert bands is not None
     first, last = IMAGE.break_points_px.min(axis=1), IMAGE.break_points_px.max(axis=1)
-    around = np.array([BEYOND_ENDS_PX, BAND_PX])
+    around = np.array([BAND_PX + BEYOND_COLUMNS, BAND_PX])
     np.testing.assert_allclose(bands[:, ::2], first - around, atol=1)
     np.testing.assert_allclose(bands[:, 1::2], last + around + 1, atol=1)
 

@@ -64,7 +64,7 @@ CALLS = {
         SegmentParams(image_width=800, border_px=3.0),
     ),
     "arcs": (numbers(2, 3, 2), np.array([0, 1, 0]), numbers(2, 4)),
-    "faces": (TRACKS, 7, numbers(3, 3), None, UnionParams(), CandidateParams(), RING),
+    "faces": (TRACKS, 7, numbers(3, 3), None, UnionParams(separation_sigmas=3.0), CandidateParams(), RING),
     "ends": (((IMAGE, IMAGE, numbers(2, 5)),), LENS, EndParams(saturation_dn=255)),
     "edge_places": (
         numbers(5, 3),

@@ -17,7 +17,7 @@ class Rules(NamedTuple):
     """Parameters of `ring_faces`."""
 
     ring: RingParams
-    unions: UnionParams = UnionParams()
+    unions: UnionParams = UnionParams(separation_sigmas=3.0)
     candidates: CandidateParams = CandidateParams()
 
 

@@ -71,7 +71,7 @@ class UnionParams:
     """Longest gap, as a share of the length of both segments together."""
     separation_px: float = 1.0
     """Largest distance of the two lines in the middle of the gap, for facets,"""
-    separation_sigmas: float = 3.0
+    separation_sigmas: float
     """to which this many of its sigmas are added."""
     max_separation_px: float = 6.0
     """Limit of that distance, whatever the sigmas."""
