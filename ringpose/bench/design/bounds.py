@@ -11,9 +11,10 @@ from math import sqrt
 import numpy as np
 
 from ringpose.estimate.covariance import GRASP_UNKNOWN_FROM_M, WEAK_SD, exceeds_sd
+from ringpose.estimate.linearization import PARAMETERS
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import BreakPoints, Detection
-from ringpose.types.pose import PoseLine, PoseResult, RingPose
+from ringpose.types.pose import PoseFlag, PoseLine, PoseResult, RingPose
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -55,11 +56,14 @@ def determined_quantities(
     """Which of `center` and `grasp` a shot determines within the limits from which `pose` flags them.
 
     `exact` are its features without errors, `line` is the pose from these: the grasp point is also determined where a
-    bound of all parameters does not exist, by its stated covariance, if the shot shows that it is on a ring.
+    bound of all parameters does not exist, by its stated covariance, if the shot shows that it is on a ring. Edges that
+    may be straight flag either of them.
     """
     grasp_m2 = None if line.pose is None else line.pose.covariance_grasp_m2
     of_center = bound is not None and not exceeds_sd(bound.center_m2, WEAK_SD * radius_inner_m)
+    of_center = of_center and PoseFlag.CENTER_WEAK not in line.flags
     of_grasp = grasp_m2 is not None and not exceeds_sd(grasp_m2, GRASP_UNKNOWN_FROM_M)
+    of_grasp = of_grasp and PoseFlag.GRASP_WEAK not in line.flags
     of_grasp = of_grasp and shows_a_ring(exact, has_radii=line.priors is not None and line.priors.radius is not None)
     return tuple(name for name, is_known in (("center", of_center), ("grasp", of_grasp)) if is_known)
 
@@ -69,9 +73,8 @@ def shows_a_ring(exact: Detection, *, has_radii: bool) -> bool:
 
     A stripe's line and its two ends are four numbers, of as many unknowns: the plane's distance and slope along the
     stripe, the place of the ends on it and the width between them. A bar, a board or a part of the body has such ends,
-    too. Visible edges, a second stripe, or the ends on both arcs with given radii (four, of the middle and one unknown
-    distance of the stripe from the centre) have more numbers than unknowns. Without radii, ends on both arcs are also
-    those of two bars of equal width.
+    too. Visible edges, a second stripe with both ends, or the ends on both arcs with given radii have more numbers than
+    unknowns. Without radii, ends of one stripe on both arcs are also those of two bars of equal width.
     """
     points = exact.break_points
     if not isinstance(points, BreakPoints):
@@ -79,8 +82,8 @@ def shows_a_ring(exact: Detection, *, has_radii: bool) -> bool:
     if exact.ring_edges is not None and len(exact.ring_edges.edge):
         return True
     seen = np.array([arc.seen for arc in points.arcs])
-    on_both_arcs = bool(seen.all(axis=(0, 2)).any()) and len(seen) > 1
-    return int(seen.any(axis=(0, 2)).sum()) > 1 or (has_radii and on_both_arcs)
+    numbers = 2 * int(seen.any(axis=(0, 2)).sum()) + int(seen.sum()) + 2 * has_radii
+    return numbers > PARAMETERS
 
 
 def cramer_rao(line: PoseLine | PoseResult) -> Bound | None:
