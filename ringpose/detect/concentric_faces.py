@@ -12,8 +12,8 @@ import numpy as np
 
 from ringpose.detect.rim import Face, SegmentPlane, is_of_laser, plane_of, segment_ends_m
 from ringpose.detect.stripes import lens, line_y_px
-from ringpose.kernels.lines import X_END, X_START
-from ringpose.types.arrays import Array, Bool, Float64
+from ringpose.kernels.lines import LASER, X_END, X_START
+from ringpose.types.arrays import Array, Float64
 from ringpose.types.detection import JudgedRing
 from ringpose.types.rig import Rig
 
@@ -37,14 +37,15 @@ def several_faces(
     Two stripes show the gap at the same distances, or one of which the others are farther from the axis. `lasers` are
     those that an unlabelled segment may belong to. Without a ring the edges count as straight.
     """
-    if len(face.lasers) <= 1:
+    pieces = [_pieces(segments, selected) for selected in face.segments] if len(face.lasers) > 1 else []
+    if max(map(len, pieces), default=0) <= 1:
         return False
     plane = plane_of(face.segments, face.lasers, rig)
     tolerance_m = SAME_EDGE_PX * float(plane.origin_m[2]) / lens(rig.camera).fx
-    gaps = {
-        laser: _gaps_m(segments[is_of_laser(segments, laser, lasers)], selected, laser, plane, ring, rig)
-        for laser, selected in zip(face.lasers, face.segments, strict=True)
-    }
+    gaps = {}
+    for laser, of_laser in zip(face.lasers, pieces, strict=True):
+        own = segments[is_of_laser(segments, laser, lasers)]
+        gaps[laser] = _gaps_m(own, of_laser, laser, plane, ring, rig)
     reached_m = [_nearest_to_axis_m(ends_m, ring) for ends_m in plane.ends_m]
     for laser, gap_m in ((laser, gap_m) for laser, of_laser in gaps.items() for gap_m in of_laser):
         if float(np.ptp(gap_m)) < tolerance_m:
@@ -58,22 +59,33 @@ def several_faces(
     return False
 
 
+def _pieces(
+    segments: Float64[Array, "segment column=12"], selected: Float64[Array, "column=12"]
+) -> Float64[Array, "piece column=12"]:
+    """The segments of a stripe's laser on its line that are part of it or its neighbours, from left to right."""
+    of_laser = segments[segments[:, LASER] == selected[LASER]]
+    ends_px = of_laser[:, [X_START, X_END]].T
+    apart_px = np.abs(line_y_px(of_laser, ends_px) - line_y_px(selected, ends_px)).max(axis=0)
+    rows = of_laser[apart_px < SAME_LINE_PX]
+    rows = rows[rows[:, X_START].argsort()]
+    first = int(np.count_nonzero(rows[:, X_END] < selected[X_START]))
+    end = len(rows) - int(np.count_nonzero(rows[:, X_START] > selected[X_END]))
+    return rows[max(first - 1, 0) : end + 1]
+
+
 def _gaps_m(
     own: Float64[Array, "segment column=12"],
-    selected: Float64[Array, "column=12"],
+    pieces: Float64[Array, "piece column=12"],
     laser: int,
     plane: SegmentPlane,
     ring: JudgedRing | None,
     rig: Rig,
 ) -> list[Float64[Array, "2"]]:
-    """Distances from the axis of the ends beside each deep gap of a stripe on the plane, in or beside the face."""
-    on_line = _on_line(own, selected)
-    pieces, gaps = own[on_line][np.argsort(own[on_line, X_START])], []
+    """Distances from the axis of the ends beside each deep gap between pieces of a stripe on the plane."""
+    others, gaps = own[~(own[:, None] == pieces).all(axis=2).any(axis=1)], []
     for left, right in pairwise(pieces):
-        if left[X_START] > selected[X_END] or right[X_END] < selected[X_START]:
-            continue
         edges_m = _edges_m(np.stack([left, right]), laser, plane, ring, rig)
-        if edges_m is not None and _is_deep(own[~on_line], left[X_END], right[X_START], laser, plane, rig, edges_m):
+        if edges_m is not None and _is_deep(others, left[X_END], right[X_START], laser, plane, rig, edges_m):
             gaps.append(edges_m)
     return gaps
 
@@ -85,17 +97,6 @@ def _nearest_to_axis_m(ends_m: Float64[Array, "end=2 xyz=3"], ring: JudgedRing |
     along = (ends_m[1] - ends_m[0]) / np.linalg.norm(ends_m[1] - ends_m[0])
     from_axis_m = ends_m[0] - ring.origin_m - ring.axes[0] / ring.curvature_per_m
     return float(np.linalg.norm(from_axis_m - (from_axis_m @ along) * along))
-
-
-def _on_line(
-    rows: Float64[Array, "segment column=12"], selected: Float64[Array, "column=12"]
-) -> Bool[Array, "segment"]:
-    """Whether both ends of segments are on the line of another one."""
-    ends_px = rows[:, [X_START, X_END]].T
-    on_line: Bool[Array, "segment"] = (
-        np.abs(line_y_px(rows, ends_px) - line_y_px(selected, ends_px)) < SAME_LINE_PX
-    ).all(axis=0)
-    return on_line
 
 
 def _edges_m(
