@@ -96,18 +96,6 @@ def test_a_step_that_raised_all_sigmas_is_cut(rng):
     assert np.sort(columns(rows, "x_end"))[0] == pytest.approx(150, abs=5)
 
 
-def test_a_bent_piece_is_not_joined_with_a_line_beside_its_own(rng):
-    """As light on the walls between both arcs of a small ring, which ends beside the stripe on its face."""
-    bent, straight = np.arange(100.0, 180.0), np.arange(184.0, 300.0)
-    bent_y = 200.0 + 0.65 * (1.0 - ((bent - 139.5) / 39.5) ** 2)
-    x = np.concatenate([bent, straight])
-    y = np.concatenate([bent_y, np.full(len(straight), bent_y.mean() + 1.0)]) + rng.normal(0, 0.05, len(x))
-
-    rows = straight_segments(*line(x, y), STRAIGHT, RULES)
-
-    assert np.sort(columns(rows, "x_start")) == pytest.approx([100, 184], abs=5)
-
-
 def test_a_gap_on_one_line_is_bridged():
     x = np.concatenate([np.arange(100, 160), np.arange(175, 240)])
     piece = np.repeat([0, 1], [60, 65])

@@ -38,7 +38,6 @@ enum { BLOCKS = 8 };
 /* A segment and its runs of centres, in ascending x. */
 typedef struct {
     Segment segment;
-    double noise; /* the scatter of its centres without that of its shape; infinite if it is too short to show it */
     size_t first[BLOCKS], last[BLOCKS], blocks; /* last is one beyond */
 } Draft;
 
@@ -339,29 +338,20 @@ static int cut(size_t first, size_t last, double sigma, double laser, const Work
     Draft draft = {.first = {first}, .last = {last}, .blocks = 1};
     draft.segment.laser = laser;
     fit_line(&draft, work);
-    draft.noise = scatter_of(work->centers->y + first, n, work->scratch);
     return push(drafts, &draft);
 }
 
-/* Standard deviation of a segment's line by the noise of its centres: what is bent would else have so uncertain a line that
-   everything continues it. */
-static double sigma_at(const Draft *draft, double x) {
-    Segment segment = draft->segment;
-    segment.scatter = fmin(segment.scatter, draft->noise);
-    segment.correlation = fmin(segment.correlation, LAG);
-    return line_sigma(&segment, x, middle_sigma(&segment, 0, 2));
-}
+static double sigma_at(const Segment *segment, double x) { return line_sigma(segment, x, middle_sigma(segment, 0, 2)); }
 
 /* True if the second segment continues the line of the first after a short gap. */
-static int continues(const Draft *left, const Draft *right, const SegmentParams *params) {
-    const Segment *first = &left->segment, *second = &right->segment;
+static int continues(const Segment *first, const Segment *second, const SegmentParams *params) {
     double gap = second->x_start - first->x_end;
     double length = first->x_end - first->x_start, other = second->x_end - second->x_start;
     if (first->laser != second->laser || !(gap >= 0) || gap > fmax(12, 0.5 * fmin(length, other))) return 0;
     double middle = (first->x_end + second->x_start) / 2;
     double apart = fabs(line_y(first, middle) - line_y(second, middle));
     double turned = fabs(first->slope - second->slope) * fmin(fmin(length, other), fmax(length, other) / 2) / 2;
-    double allowed = params->joined_px + 2 * hypot(sigma_at(left, middle), sigma_at(right, middle));
+    double allowed = params->joined_px + 2 * hypot(sigma_at(first, middle), sigma_at(second, middle));
     return fmax(apart, turned) < allowed;
 }
 
@@ -380,13 +370,12 @@ static int join(List *drafts, const Work *work) {
         for (size_t j = joined.used; j-- > 0;) {
             Draft *partner = (Draft *)joined.data + j;
             if (!partner->blocks || partner->blocks + draft.blocks > BLOCKS) continue;
-            if (!continues(partner, &draft, work->params)) continue;
+            if (!continues(&partner->segment, &draft.segment, work->params)) continue;
             Draft both = *partner;
             both.first[both.blocks] = draft.first[0];
             both.last[both.blocks++] = draft.last[0];
             partner->blocks = 0;
             fit_line(&both, work);
-            both.noise = fmin(partner->noise, draft.noise);
             draft = both;
             break;
         }
