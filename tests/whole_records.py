@@ -77,6 +77,7 @@ def protection() -> Protection:
         grasp_radial_m=0.001,
         normal_rad=0.03,
         center_m=np.full(3, math.inf),
+        sd_factor=1.2,
     )
 
 

@@ -19,15 +19,13 @@ from ringpose.measure.status import flags_forbidding
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.options import PoseFrame
 from ringpose.types.pose import PoseFlag, PoseLine, RingPose, Status
+from ringpose.types.protection import WRONG_SIGMAS
 from ringpose.types.record import Key
 from ringpose.types.rig import Camera
 from ringpose.types.truth import Truth
 
 Value = str | float | int | bool
 """Value of a group."""
-
-WRONG_SIGMAS = 5.0
-"""A quantity farther from the truth than this (Mahalanobis distance), and without a flag that names it, is wrong."""
 
 GROSS_SIGMAS = 6.0
 """Among very many quantities a few exceed `WRONG_SIGMAS` by chance; none exceeds this."""

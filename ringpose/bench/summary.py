@@ -7,7 +7,8 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
-from ringpose.bench.score import JUDGED, QUANTITIES, WRONG_SIGMAS, Judgement, Outcome, Score, Value
+from ringpose.bench.score import JUDGED, QUANTITIES, Judgement, Outcome, Score, Value
+from ringpose.types.protection import WRONG_SIGMAS
 from ringpose.types.record import Key
 
 _Item = TypeVar("_Item")

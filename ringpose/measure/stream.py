@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from ringpose.errors import DataError
-from ringpose.estimate.nuisance import with_stability
+from ringpose.estimate.nuisance import EXACT, with_stability
 from ringpose.geometry.camera_motion import CameraMotion
 from ringpose.measure import status
 from ringpose.pose.maximum_likelihood import most_likely_pose
-from ringpose.pose.protection import protection_of, variances_by_source
+from ringpose.pose.protection import overbound, protection_of, variances_by_source, with_covariance_scaled
 from ringpose.pose.rig_monitor import DriftMonitor, FormMonitor
 from ringpose.types.arrays import Array, Bool
 from ringpose.types.assumptions import (
@@ -40,7 +40,7 @@ from ringpose.types.assumptions import (
 from ringpose.types.detection import BreakPoints, Detection, JudgedRing, Rejection, RingEdgePoints, Stripes
 from ringpose.types.image import Shot
 from ringpose.types.options import Method, PoseFrame
-from ringpose.types.pose import KnownRadii, NoPose, PoseLine, PoseResult, Ring, RingPose
+from ringpose.types.pose import KnownRadii, NoPose, PoseFlag, PoseLine, PoseResult, Ring, RingPose
 from ringpose.types.protection import turned
 from ringpose.types.rig import NO_ROBOT_POSES, Rig
 from ringpose.types.track import TrackLine
@@ -389,10 +389,13 @@ def pose_line(
     protection, budget = None, dict[str, dict[str, float]]()
     if result.separation is not None and isinstance(pose, RingPose):
         separation = result.separation()
-        protection = protection_of(separation, pose, options.risk, flags)
+        checks_rig = PoseFlag.RIG_UNCHECKED not in flags and assumptions.stability != EXACT
+        factor = overbound(separation, pose) if checks_rig else 1.0
+        protection = replace(protection_of(separation, pose, options.risk, flags), sd_factor=factor)
         if with_budget and result.budget is not None:
             in_camera = frame is PoseFrame.CAMERA
-            budget = variances_by_source(result.budget(), pose, separation, in_camera=in_camera)
+            budget = variances_by_source(result.budget(), pose, separation, in_camera=in_camera, factor=factor)
+        pose = with_covariance_scaled(pose, factor)
     end_s = perf_counter()
     return PoseLine(
         shot=source.shot,

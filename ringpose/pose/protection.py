@@ -1,4 +1,4 @@
-"""How far a pose may be off, at the risk that its user accepts: protection levels (ringpose-method(7), section 15)."""
+"""How far a pose may be off: protection levels, and covariances that contain a rig in doubt (method(7), section 15)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ import numpy as np
 from ringpose.measure.status import unbounded
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.pose import PoseFlag, RingPose
-from ringpose.types.protection import CENTER, INWARD, TILTS, Protection, Separation
+from ringpose.types.protection import CENTER, GRASP, INWARD, TILTS, WRONG_SIGMAS, Protection, Separation
 
 UNCOVERED_PROBABILITY = 1e-6
 """Probability p_u of what no hypothesis covers."""
@@ -124,17 +124,53 @@ def protection_of(separation: Separation, pose: RingPose, risk: float, flags: Po
     return found
 
 
+def with_covariance_scaled(pose: RingPose, factor: float) -> RingPose:
+    """The pose with all standard deviations times a factor."""
+    full, center, grasp = (
+        None if each is None else factor * factor * each
+        for each in (pose.covariance, pose.covariance_center_m2, pose.covariance_grasp_m2)
+    )
+    return replace(pose, covariance=full, covariance_center_m2=center, covariance_grasp_m2=grasp)
+
+
+def overbound(separation: Separation, pose: RingPose) -> float:
+    """Factor on the standard deviations of a pose for what may have happened to the rig without showing, Eq. (15.4).
+
+    Most shots reject a light plane that has moved; in others it fits about as well as the accepted solution. The
+    errors are then a mixture, and the smallest Gaussian that overbounds it where it matters (DeCleene, ION GPS 2000) is
+    taken: an error of more than `WRONG_SIGMAS` raised standard deviations is as rare as one of a Gaussian. Inflating
+    the prior of the rig instead would take the same from all shots, and the second moments of the mixture hardly show a
+    hypothesis of small probability. The largest factor of grasp point, normal and centre.
+    """
+    accepted, planes = set(separation.sets[0]), set[int]()
+    planes.update(number for number, name in enumerate(separation.faults) if name.startswith("plane "))
+    more = [set(each) - accepted if accepted <= set(each) else set() for each in separation.sets]
+    which = [0, *(number for number, each in enumerate(more) if each and each <= planes)]
+    weight = separation.weight[which] / separation.weight[which].sum()
+    has_normal = pose.covariance is not None and bool(np.isfinite(pose.covariance[:2, :2]).all())
+    has = (pose.covariance_grasp_m2 is not None, has_normal, pose.covariance_center_m2 is not None)
+    factors = [1.0]
+    for part in (part for part, is_determined in zip((GRASP, TILTS, CENTER), has, strict=True) if is_determined):
+        covariance = separation.covariance[which, part, part]
+        whitening = np.linalg.inv(np.linalg.cholesky(covariance[0]))
+        distance = np.linalg.norm(separation.difference[which, part] @ whitening.T, axis=1)
+        sigma = np.sqrt(np.linalg.eigvalsh(whitening @ covariance @ whitening.T)[:, -1])
+        factors.append(protection_level(weight, distance, sigma, erfc(WRONG_SIGMAS * SQRT_HALF)) / WRONG_SIGMAS)
+    return max(factors)
+
+
 def variances_by_source(
     budget: Mapping[str, Float64[Array, "quantity=7 quantity=7"]],
     pose: RingPose,
     separation: Separation,
     *,
     in_camera: bool,
+    factor: float = 1.0,
 ) -> dict[str, dict[str, float]]:
     """The variances of the reported quantities by source, in the frame of the pose, which is that of the separation.
 
     What a pose in another frame than the camera's has beyond the sources is the error of the camera's pose there, which
-    is that of the mount.
+    is that of the mount; what the `factor` of `overbound` on its standard deviations adds is the rig's stability.
     """
     across, frame_from_camera = separation.across, separation.rotation
     found: dict[str, dict[str, float]] = {}
@@ -156,6 +192,7 @@ def variances_by_source(
         total = variances.pop("")
         if not in_camera:
             variances["mount"] = variances.get("mount", 0.0) + total - sum(variances.values())
+        variances["stability"] = variances.get("stability", 0.0) + (factor * factor - 1.0) * total
     return {name: {source: each for source, each in of.items() if each != 0.0} for name, of in found.items()}
 
 

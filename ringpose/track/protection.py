@@ -38,6 +38,7 @@ def shot_levels(line: PoseLine, frame: str) -> ShotLevels | None:
         return None
     level = np.array([own.grasp_normal_m, own.grasp_radial_m, own.normal_rad, *own.center_m])
     multiple, variance = _gaussian_levels(pose, own.risk - own.uncovered)
+    variance = variance / own.sd_factor**2  # a plane that has moved is common to all shots: its error is in the level
     # a quantity whose direction is not known counts with its whole level, and the weight of a Gaussian with that level
     known = np.isfinite(variance)
     excess = np.maximum(level - np.where(known, multiple * np.sqrt(np.where(known, variance, 0.0)), 0.0), 0.0)

@@ -10,6 +10,9 @@ import numpy as np
 from ringpose.types.arrays import Array, Float64
 from ringpose.types.record import Key
 
+WRONG_SIGMAS = 5.0
+"""A quantity farther from the truth than this (Mahalanobis distance), and without a flag that names it, is wrong."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Protection:
@@ -35,6 +38,15 @@ class Protection:
         Float64[Array, "xyz=3"],
         Key("Levels of the centre's error along each axis of the frame; null if one of them is.", null=inf),
     ]
+    sd_factor: Annotated[
+        float,
+        Key(
+            "Factor on the standard deviations in `covariance`, from 1, for a light plane that may have moved without "
+            "showing.",
+            added=True,
+            least=1.0,
+        ),
+    ] = 1.0
 
     def without(self, quantities: frozenset[str]) -> "Protection":
         """The levels without those of these quantities: `grasp`, `normal`, `center`."""

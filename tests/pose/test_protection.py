@@ -6,6 +6,7 @@ from math import inf
 import numpy as np
 import pytest
 from ring_scenes import face_points_of, make_scene, with_stripes
+from ring_streams import ASSUMED, moved, poses_before, within_stability
 from scipy.optimize import brentq
 from scipy.stats import norm
 
@@ -14,14 +15,16 @@ from ringpose.estimate.explanation import explain
 from ringpose.estimate.factors.prior import Prior
 from ringpose.estimate.faults import END_SD_PX
 from ringpose.estimate.measurements import measurements_of
+from ringpose.estimate.pose_errors import mahalanobis_squared, tilt_error_rad
 from ringpose.estimate.ring_estimate import estimate_ring
 from ringpose.estimate.separation import solution_separation
 from ringpose.geometry.rotations import angle_between
 from ringpose.measure.stream import pose_line, pose_result
-from ringpose.pose.protection import UNCOVERED_PROBABILITY, protection_level, protection_of
-from ringpose.types.assumptions import USUAL, Assumptions, motion_prior
+from ringpose.pose.protection import UNCOVERED_PROBABILITY, overbound, protection_level, protection_of
+from ringpose.types.assumptions import USUAL, AssumptionOptions, Assumptions, motion_prior
 from ringpose.types.detection import Detection
 from ringpose.types.pose import PoseFlag
+from ringpose.types.protection import WRONG_SIGMAS, Separation
 
 STAMPS_S = 100.0 + np.arange(3) / 10
 
@@ -187,3 +190,71 @@ def test_the_levels_cover_a_displaced_end_whether_it_shows_or_not(scene, points,
             assert not angle_between(line.pose.normal[None], normal[None])[0] > line.protection.normal_rad
             height_m = abs(float((line.pose.grasp_m - scene.ring.center_m) @ normal))
             assert not height_m > line.protection.grasp_normal_m
+
+
+# A rig in doubt, Eq. (15.4)
+
+
+def sigmas_off(pose, ring) -> float:
+    """The larger Mahalanobis distance of normal and centre from the truth."""
+    of_normal = mahalanobis_squared(tilt_error_rad(pose.normal, ring.normal), pose.covariance[:2, :2])
+    return max(of_normal, mahalanobis_squared(pose.center_m - ring.center_m, pose.covariance_center_m2)) ** 0.5
+
+
+def first_shots(rig, rng, turn_rad, count):
+    """Distances from the truth of `ok` shots after a light plane has turned: as estimated, and as reported."""
+    for number in range(count):
+        direction = rng.uniform(0.0, 2.0 * np.pi)
+        tilts = turn_rad * np.array([np.cos(direction), np.sin(direction)])
+        ((seen, points),) = poses_before(moved(within_stability(rig, rng), number % 3, tilts), rng, 1)
+        line = pose_line(replace(detection_of(points), still=True), rig)
+        if line.status == "ok":
+            estimated = pose_result(points, rig, assumptions=ASSUMED).pose
+            yield sigmas_off(estimated, seen.ring), sigmas_off(line.pose, seen.ring)
+
+
+def test_a_turned_plane_that_does_not_show_is_within_the_covariance_of_a_first_shot(scene, rng):
+    estimated, reported = zip(*first_shots(scene.rig, rng, 1.5e-3, 36), strict=True)
+
+    assert max(estimated) > WRONG_SIGMAS
+    assert max(reported) < WRONG_SIGMAS
+
+
+def test_a_rig_that_has_not_changed_is_hardly_in_doubt(scene, rng):
+    estimated, reported = zip(*first_shots(scene.rig, rng, 0.0, 24), strict=True)
+
+    assert len(reported) == 24
+    ratio = np.array(estimated) / reported
+    assert np.median(ratio) == pytest.approx(1.01, abs=0.02)
+
+
+def test_an_error_of_five_raised_standard_deviations_is_as_rare_as_that_of_a_gaussian(scene, points):
+    pose = pose_result(points, scene.rig, assumptions=ROUND).pose
+    covariance = np.stack([np.eye(8), np.eye(8), np.eye(8)])
+    covariance[1, 0, 0] = 4.0
+    separation = Separation(
+        faults=("plane 0", "end 0"),
+        sets=((), (0,), (1,)),
+        weight=np.array([0.5, 0.001, 0.499]),  # what is no plane does not count
+        difference=np.array([np.zeros(8), 3.0 * np.eye(8)[0], np.full(8, 30.0)]),
+        covariance=covariance,
+        across=np.eye(3)[:2],
+        radius_m=1.0,
+    )
+
+    limit = WRONG_SIGMAS * overbound(separation, pose)
+
+    tails = norm.sf(limit) + norm.sf(limit), norm.sf((limit - 3.0) / 2.0) + norm.sf((limit + 3.0) / 2.0)
+    assert np.dot([0.5, 0.001], tails) / 0.501 == pytest.approx(2.0 * norm.sf(WRONG_SIGMAS), rel=1e-4)
+
+
+@pytest.mark.parametrize("case", ["exact rig", "two stripes"])
+def test_a_rig_that_counts_as_exact_or_is_not_checked_is_not_in_doubt(scene, points, case):
+    options = AssumptionOptions(rig_stability=0.0 if case == "exact rig" else 1.0)
+    seen = points if case == "exact rig" else with_stripes(points, 0, 1)
+    stability = options.about_shot(scene.rig.stability, still=True).stability
+
+    line = pose_line(replace(detection_of(seen), still=True), scene.rig, options=options)
+
+    pose = pose_result(seen, scene.rig, assumptions=replace(ROUND, stability=stability)).pose
+    assert line.pose.covariance[:3, :3] == pytest.approx(pose.covariance[:3, :3], rel=1e-6)
