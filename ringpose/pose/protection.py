@@ -78,6 +78,8 @@ NORMAL, SQRT_HALF, DENSITY_AT_ZERO = NormalDist(), sqrt(0.5), 1.0 / sqrt(2.0 * p
 LEVEL_PRECISION, MAX_GROWTH = 1e-6, 3600.0
 """Precision of a level, as a share, and how many times higher than the first bound it may be."""
 
+TINY_WEIGHT = np.finfo(float).tiny
+
 NEGLIGIBLE, TINY_LEVEL = 1e-6, 1e-12
 """Share of the risk of what is left out in the search, and the smallest level: of exact data."""
 
@@ -146,7 +148,8 @@ def overbound(separation: Separation, pose: RingPose) -> float:
     planes.update(number for number, name in enumerate(separation.faults) if name.startswith("plane "))
     more = [set(each) - accepted if accepted <= set(each) else set() for each in separation.sets]
     which = [0, *(number for number, each in enumerate(more) if each and each <= planes)]
-    weight = separation.weight[which] / separation.weight[which].sum()
+    weight = np.maximum(separation.weight[which], TINY_WEIGHT)  # that of an accepted solution may have vanished
+    weight /= weight.sum()
     has_normal = pose.covariance is not None and bool(np.isfinite(pose.covariance[:2, :2]).all())
     has = (pose.covariance_grasp_m2 is not None, has_normal, pose.covariance_center_m2 is not None)
     factors = [1.0]

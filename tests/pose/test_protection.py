@@ -228,24 +228,38 @@ def test_a_rig_that_has_not_changed_is_hardly_in_doubt(scene, rng):
     assert np.median(ratio) == pytest.approx(1.01, abs=0.02)
 
 
-def test_an_error_of_five_raised_standard_deviations_is_as_rare_as_that_of_a_gaussian(scene, points):
-    pose = pose_result(points, scene.rig, assumptions=ROUND).pose
+def moved_plane_separation(weight):
+    """The accepted solution, one in which a plane has moved, and one with a wrong end."""
     covariance = np.stack([np.eye(8), np.eye(8), np.eye(8)])
     covariance[1, 0, 0] = 4.0
-    separation = Separation(
+    return Separation(
         faults=("plane 0", "end 0"),
         sets=((), (0,), (1,)),
-        weight=np.array([0.5, 0.001, 0.499]),  # what is no plane does not count
+        weight=np.array(weight),
         difference=np.array([np.zeros(8), 3.0 * np.eye(8)[0], np.full(8, 30.0)]),
         covariance=covariance,
         across=np.eye(3)[:2],
         radius_m=1.0,
     )
 
-    limit = WRONG_SIGMAS * overbound(separation, pose)
+
+def test_an_error_of_five_raised_standard_deviations_is_as_rare_as_that_of_a_gaussian(scene, points):
+    pose = pose_result(points, scene.rig, assumptions=ROUND).pose
+
+    # what is no plane does not count
+    limit = WRONG_SIGMAS * overbound(moved_plane_separation([0.5, 0.001, 0.499]), pose)
 
     tails = norm.sf(limit) + norm.sf(limit), norm.sf((limit - 3.0) / 2.0) + norm.sf((limit + 3.0) / 2.0)
     assert np.dot([0.5, 0.001], tails) / 0.501 == pytest.approx(2.0 * norm.sf(WRONG_SIGMAS), rel=1e-4)
+
+
+def test_the_factor_is_finite_where_the_accepted_solution_has_no_weight_any_more(scene, points):
+    pose = pose_result(points, scene.rig, assumptions=ROUND).pose
+
+    limit = WRONG_SIGMAS * overbound(moved_plane_separation([0.0, 1.0, 0.0]), pose)
+
+    assert norm.sf((limit - 3.0) / 2.0) == pytest.approx(2.0 * norm.sf(WRONG_SIGMAS), rel=1e-3)
+    assert np.isfinite(overbound(moved_plane_separation([0.0, 0.0, 1.0]), pose))
 
 
 @pytest.mark.parametrize("case", ["exact rig", "two stripes"])
