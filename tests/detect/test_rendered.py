@@ -127,7 +127,7 @@ def test_without_a_dark_frame_unflagged_ends_have_consistent_covariances(single_
 
 
 def test_without_a_dark_frame_nearly_all_ends_are_found(single_errors):
-    assert len(single_errors) > 230
+    assert np.count_nonzero([abs(row[1]) < 5.0 for row in single_errors]) > 218  # px; elsewhere is not found
 
 
 @pytest.fixture(scope="module")
