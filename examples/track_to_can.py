@@ -14,11 +14,18 @@ import argparse
 import sys
 import time
 
-import can
 from track_to_udp import Newest, command
+
+try:
+    import can
+except ModuleNotFoundError:
+    sys.exit("track_to_can: python-can is missing: pip install 'ringpose[can]'")
 
 STATUS, GRASP, APPROACH, VELOCITY = range(4)
 """Frames by the offset of their identifier from --id."""
+
+LAST_ID = 0x7FF
+"""Identifiers have 11 bits."""
 
 POINT_M, UNIT, SPEED_M_S, LEVEL_M, AGE_S = 1e-5, 1 / 32767, 1e-4, 1e-5, 1e-3
 """Value of one bit: positions, directions, velocities, protection level and age."""
@@ -97,9 +104,8 @@ def frames_of(said, age_s, counter):
 
 def age_of(record, now_s):
     """Time since the newest measurement in the track; None without one."""
-    return (
-        None if record is None or record.get("measurement_stamp_s") is None else now_s - record["measurement_stamp_s"]
-    )
+    stamp_s = None if record is None else record.get("measurement_stamp_s")
+    return now_s - stamp_s if isinstance(stamp_s, int | float) else None
 
 
 def send(bus, first_id, frames):
@@ -123,8 +129,16 @@ def main():
     parser.add_argument("--alert-limit-m", type=float, default=0.005, help="how far the grasp point may be off")
     parser.add_argument("--alert-limit-deg", type=float, default=3.0, help="how far the normal may be off")
     limits = parser.parse_args()
+    if not limits.rate > 0.0:
+        parser.error("--rate must be above 0")
+    if not 0 <= limits.id <= LAST_ID - VELOCITY:
+        parser.error(f"--id must leave room for four identifiers up to {LAST_ID:#x}")
+    try:
+        opened = can.Bus(interface=limits.interface, channel=limits.channel)
+    except (can.CanError, OSError) as problem:
+        sys.exit(f"track_to_can: {limits.interface} {limits.channel}: {problem}")
     newest, tick_s, counter = Newest(sys.stdin), time.monotonic(), 0
-    with can.Bus(interface=limits.interface, channel=limits.channel) as bus:
+    with opened as bus:
         while not newest.ended:
             record, now_s = newest.record, time.time()
             said = command(record, newest.heard_s, limits, now_s)

@@ -41,7 +41,14 @@ LEVELS = ("grasp_normal_m", "grasp_radial_m", "normal_rad")
 
 
 def command(record, heard_s, limits, now_s):
-    """What the controller is to do now."""
+    """What the controller is to do now; hold also on a line whose values are not those of a track."""
+    try:
+        return _command(record, heard_s, limits, now_s)
+    except (TypeError, KeyError, ValueError, AttributeError) as problem:
+        return {"do": "hold", "why": f"no track: its line is malformed, {type(problem).__name__} {problem}"}
+
+
+def _command(record, heard_s, limits, now_s):
     silent_s = time.monotonic() - heard_s
     if record is None or silent_s > limits.patience:
         return {"do": "hold", "why": f"no track for {silent_s:.1f} s"}
@@ -77,6 +84,8 @@ def main():
     parser.add_argument("--alert-limit-m", type=float, default=0.005, help="how far the grasp point may be off")
     parser.add_argument("--alert-limit-deg", type=float, default=3.0, help="how far the normal may be off")
     limits = parser.parse_args()
+    if not limits.rate > 0.0:
+        parser.error("--rate must be above 0")
     host, _, port = limits.to.rpartition(":")
     newest, tick_s = Newest(sys.stdin), time.monotonic()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:

@@ -110,3 +110,19 @@ def test_rounds_on_the_virtual_bus_are_complete_counted_and_end_with_a_hold(can,
     assert {str(each["Command"]) for each in decoded[:-1]} == {"follow"}
     assert all(0.04 < each["Age"] < 60 for each in decoded[:-1])
     assert (str(decoded[-1]["Command"]), str(decoded[-1]["Reason"])) == ("hold", "ended")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--rate", "0"], "--rate"),
+        (["--id", "0x7fe"], "--id"),
+        (["--interface", "nosuch"], "nosuch"),
+    ],
+)
+def test_what_cannot_be_sent_ends_with_one_line(bridge, monkeypatch, capsys, words, told):
+    monkeypatch.setattr(sys, "argv", ["track_to_can.py", *words])
+
+    with pytest.raises(SystemExit) as ended:
+        bridge["main"]()
+    assert told in f"{ended.value} {capsys.readouterr().err}"

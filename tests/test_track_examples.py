@@ -60,8 +60,10 @@ def test_a_valid_track_is_followed_to_where_the_grasp_point_is_now(bridge):
         {"stamp_s": 1.0},
         {"protection": {**track_record()["protection"], "grasp_normal_m": 0.01}},
         {"protection": {**track_record()["protection"], "normal_rad": 0.1}},
+        {"stamp_s": None},
+        {"grasp": "x"},
     ],
-    ids=["predicted", "stale", "lost", "unknown", "pushed", "old", "inaccurate", "tilted"],
+    ids=["predicted", "stale", "lost", "unknown", "pushed", "old", "inaccurate", "tilted", "no stamp", "no point"],
 )
 def test_anything_else_is_a_hold(bridge, changes):
     record = track_record(**changes)

@@ -150,7 +150,9 @@ class CaptureLine:
         Mapping[str, str | float | int | bool],
         Key("Names and values by which `ringpose bench capture` makes its table.", presence=Presence.IF_KNOWN),
     ] = field(default_factory=dict)
-    closed_s: Annotated[float, Key("Time from the start to the closing; null if it did not close.", null=nan)]
+    closed_s: Annotated[
+        float, Key("Time from the start to the closing; null if it did not close.", null=nan, least=0.0)
+    ]
     reason: Annotated[str, Key("Why it did not close; null if it did.", null="")] = ""
     gripper: Annotated[GripperState | None, Key("The gripper at the closing; null if it did not close.")] = None
     ring: Annotated[TrueRing | None, Key("The true ring at the closing; null if it did not close.")] = None

@@ -1,6 +1,8 @@
 """`ringpose bench capture` and studies of captures: statuses, and what is refused."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -61,6 +63,26 @@ def test_what_cannot_be_scored_is_refused(written, capsys, text, words, status, 
             stream.write(text)
 
     assert main(["bench", "capture", file, *words]) == status
+    assert told in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (lambda line: line.update(gripper=None), "gripper and ring"),
+        (lambda line: line.update(closed_s=None), "gripper and ring"),
+        (lambda line: line.update(closed_s=-3.0), "closed_s"),
+        (lambda line: line["gripper"].update(radial_m=0.0), "radial_m"),
+        (lambda line: line["ring"].update(radius_inner_m=0.7), "inner radius"),
+    ],
+)
+def test_a_run_that_contradicts_itself_is_refused(written, capsys, changed, told):
+    file = Path(written(run()))
+    line = json.loads(file.read_text())
+    changed(line)
+    file.write_text(json.dumps(line))
+
+    assert main(["bench", "capture", str(file)]) == 65
     assert told in capsys.readouterr().err
 
 

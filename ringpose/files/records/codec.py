@@ -121,8 +121,9 @@ class Number(Value):
         if key.form is Form.STAMP:
             return fields.stamp_s(name)
         if key.plausible is None:
-            return fields.number(name, key.least, key.most)
-        number = fields.quantity(name, key.plausible)
+            number = fields.number(name, key.least, key.most)
+        else:
+            number = fields.quantity(name, key.plausible)
         if key.positive and number <= 0:
             raise fields.problem(name, "must be positive")
         return number
