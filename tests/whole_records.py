@@ -81,6 +81,20 @@ def protection() -> Protection:
     )
 
 
+def measurement_with(names, square_root, **changes) -> RingMeasurement:
+    """A measurement of a ring at 0.5 m, with these nuisance parameters and rows."""
+    point = LinearizationPoint(
+        center_m=np.array([0.0, 0.0, 0.5]),
+        normal=np.array([0.0, 0.0, -1.0]),
+        radius_inner_m=0.5,
+        radius_outer_m=0.6,
+        velocity_m_s=np.zeros(3),
+        rate_rad_s=np.zeros(3),
+    )
+    stated = {"degrees_of_freedom": 1, "chi2": 0.0} | changes
+    return RingMeasurement(linearized_at=point, nuisance_parameters=names, square_root=square_root, **stated)
+
+
 def complete_measurement(rng: np.random.Generator) -> RingMeasurement:
     """A measurement with two nuisance parameters."""
     return RingMeasurement(

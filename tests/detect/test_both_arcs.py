@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from flat_stripes import height_m, segment_on_plane
 from ring_scenes import PROJECTED, Ring, make_camera, pixels_of
 
 from ringpose.detect.pipeline import detect
@@ -12,12 +13,10 @@ from ringpose.detect.rim import ring_face
 from ringpose.kernels.lines import (
     CENTERS,
     CLIPPED,
-    CORRELATION,
     LASER,
     MIDDLE_X,
     MIDDLE_Y,
     SCATTER,
-    SEGMENT_COLUMNS,
     X_END,
     X_START,
 )
@@ -129,16 +128,8 @@ def test_the_grasp_point_is_on_the_arc_nearer_to_the_place_that_is_asked_for(sho
 
 def segments_on_plane(laser: int, ends_m) -> list[np.ndarray]:
     """The two segments of a stripe on the plane z = 0.5 m; `ends_m`: outer and inner half width at a place y."""
-    normal, distance_m = RIG.lasers.normal[laser], RIG.lasers.distance_m[laser]
-    y_m = (distance_m - normal[2] * 0.5) / normal[1]
-    outer_m, inner_m = ends_m(y_m)
-    rows = []
-    for x_m in ([-outer_m, -inner_m], [inner_m, outer_m]):
-        x, row = 400.0 + 889.0 * np.array(x_m) / 0.5, np.zeros(len(SEGMENT_COLUMNS))
-        row[[LASER, CENTERS, X_START, X_END, MIDDLE_X]] = laser, x[1] - x[0], *x, x.mean()
-        row[[MIDDLE_Y, SCATTER, CORRELATION]] = 300.0 + 889.0 * y_m / 0.5, 0.1, 2.0
-        rows.append(row)
-    return rows
+    outer_m, inner_m = ends_m(height_m(RIG, laser, 0.5))
+    return [segment_on_plane(RIG, laser, x_m) for x_m in ((-outer_m, -inner_m), (inner_m, outer_m))]
 
 
 @pytest.mark.parametrize(

@@ -2,21 +2,12 @@
 
 import numpy as np
 import pytest
+from flat_stripes import height_m, segment_on_plane
 from ring_scenes import PROJECTED, make_camera
 
 from ringpose.detect.concentric_faces import several_faces
 from ringpose.detect.rim import ring_face
-from ringpose.kernels.lines import (
-    CENTERS,
-    CORRELATION,
-    LASER,
-    MIDDLE_X,
-    MIDDLE_Y,
-    SCATTER,
-    SEGMENT_COLUMNS,
-    X_END,
-    X_START,
-)
+from ringpose.kernels.lines import X_END, X_START
 from ringpose.types.detection import JudgedRing
 from ringpose.types.rig import Rig
 
@@ -26,20 +17,14 @@ Z_M = 0.5
 
 def segment(laser: int, from_m: float, to_m: float, z_m: float = Z_M) -> np.ndarray:
     """A laser's stripe between two places x on the plane at that depth, as one segment."""
-    normal, distance_m = RIG.lasers.normal[laser], RIG.lasers.distance_m[laser]
-    x, row = 800.0 + 1778.0 * np.array([from_m, to_m]) / z_m, np.zeros(len(SEGMENT_COLUMNS))
-    row[[LASER, CENTERS, X_START, X_END, MIDDLE_X]] = laser, x[1] - x[0], *x, x.mean()
-    y_m = (distance_m - normal[2] * z_m) / normal[1]
-    row[[MIDDLE_Y, SCATTER, CORRELATION]] = 600.0 + 1778.0 * y_m / z_m, 0.1, 2.0
-    return row
+    return segment_on_plane(RIG, laser, (from_m, to_m), z_m)
 
 
 def stripes(bands_m, axis_m, between_m=None) -> np.ndarray:
     """Segments of all lasers on flat bands about an axis at x, y = 0, to its right, and on what is between them."""
     rows = []
     for laser in range(3):
-        normal, distance_m = RIG.lasers.normal[laser], RIG.lasers.distance_m[laser]
-        y_m = (distance_m - normal[2] * Z_M) / normal[1]
+        y_m = height_m(RIG, laser, Z_M)
         ends_m = [axis_m + np.sqrt(np.square(band) - y_m**2) for band in bands_m]
         rows += [segment(laser, *ends) for ends in ends_m]
         if between_m is not None:

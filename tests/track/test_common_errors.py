@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ring_scenes import RIGS
+from whole_records import measurement_with
 
 from ringpose.errors import DataError
 from ringpose.track.common_errors import common_errors
 from ringpose.types.assumptions import Assumptions, RigStability
-from ringpose.types.pose import LinearizationPoint, PoseLine, Priors, RingMeasurement
+from ringpose.types.pose import PoseLine, Priors
 from ringpose.types.rig import LaserBow, ParameterCovariance, PlaneCorrection
 
 STABILITY = RigStability(plane_tilt_rad=1e-4, plane_distance_m=2e-5, focal_ratio=1e-4)
@@ -21,22 +22,7 @@ def covariance_of(
     names, rig=None, rig_covariance=False, moved_planes=None, bent_planes=None, camera_motion="none", **assumed
 ) -> np.ndarray:
     """Prior covariance of the nuisance parameters of a record with these priors."""
-    point = LinearizationPoint(
-        center_m=np.zeros(3),
-        normal=np.array([0.0, 0.0, -1.0]),
-        radius_inner_m=0.5,
-        radius_outer_m=0.6,
-        velocity_m_s=np.zeros(3),
-        rate_rad_s=np.zeros(3),
-    )
-    measurement = RingMeasurement(
-        linearized_at=point,
-        nuisance_parameters=names,
-        square_root=np.zeros((1, 13 + len(names))),
-        degrees_of_freedom=0,
-        chi2=0.0,
-        camera_motion=camera_motion,
-    )
+    measurement = measurement_with(names, np.zeros((1, 13 + len(names))), camera_motion=camera_motion)
     assumptions = Assumptions(**assumed)
     planes = {"moved_planes": moved_planes or {}, "bent_planes": bent_planes or {}}
     priors = Priors(assumptions=assumptions, rig_covariance=rig_covariance, **planes)

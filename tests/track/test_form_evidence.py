@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tracked_rings import track_of
+from whole_records import measurement_with
 
 from ringpose.estimate.nuisance import FORM_PARAMETERS, form_amplitude_m
 from ringpose.track.common_errors import common_errors
@@ -12,7 +13,7 @@ from ringpose.track.explanations import track_after
 from ringpose.track.form_evidence import FormEvidence
 from ringpose.track.observation import observation
 from ringpose.types.assumptions import Assumptions
-from ringpose.types.pose import LinearizationPoint, PoseLine, Priors, RingMeasurement
+from ringpose.types.pose import PoseLine, Priors
 
 ASSUMED_M, OVAL_M = 1e-4, 1e-3
 WAVE_SD_M = 2e-4
@@ -27,21 +28,7 @@ def seen(wave_m, tolerance_m, rng):
     rows[:12, 12:-1] = 300.0 * rng.normal(size=(12, len(FORM_PARAMETERS)))
     rows[12, 12 + FORM_PARAMETERS.index("form.inner.a3")] = 1.0 / WAVE_SD_M
     rows[12, -1] = wave_m / WAVE_SD_M + rng.normal()
-    point = LinearizationPoint(
-        center_m=np.array([0.0, 0.0, 0.5]),
-        normal=np.array([0.0, 0.0, -1.0]),
-        radius_inner_m=0.5,
-        radius_outer_m=0.6,
-        velocity_m_s=np.zeros(3),
-        rate_rad_s=np.zeros(3),
-    )
-    measurement = RingMeasurement(
-        linearized_at=point,
-        nuisance_parameters=FORM_PARAMETERS,
-        square_root=rows,
-        degrees_of_freedom=1,
-        chi2=0.0,
-    )
+    measurement = measurement_with(FORM_PARAMETERS, rows)
     priors = Priors(assumptions=Assumptions(ring_tolerance_m=tolerance_m))
     return PoseLine(shot="a", stamp_s=0.0, pose=None, priors=priors, measurement=measurement)
 
